@@ -1,0 +1,40 @@
+"""Strict settings for every test: rank promotion raises, warnings are errors, both precisions are at hand."""
+
+import os
+from pathlib import Path
+
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # the compilation cache logs every machine feature otherwise
+
+import jax
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared" / "data"
+
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax"))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+@pytest.fixture(params=["float32", "float64"])
+def dtype(request):
+    """Run a test in float32 as users have it (x64 off) and in float64 (x64 on)."""
+    with jax.enable_x64(request.param == "float64"):
+        yield jax.numpy.dtype(request.param)
+
+
+@pytest.fixture
+def x64():
+    """Run a test with 64-bit numbers allowed."""
+    with jax.enable_x64(True):
+        yield
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """The folder of recordings, robots and oracles beside the checkout."""
+    if not SHARED.is_dir():
+        pytest.skip("recorded: ../shared/data is absent")
+    return SHARED
