@@ -1,0 +1,280 @@
+"""Loading a robot from MJCF or URDF through MuJoCo, on the host; the mesh files it names may be absent."""
+
+from __future__ import annotations
+
+import logging
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxest.kinematics.robot import BALL, FREE, HINGE, NQ, SLIDE, Robot, Topology
+from jaxest.types import InputError
+
+if TYPE_CHECKING:
+    import mujoco
+
+_log = logging.getLogger("jaxest")
+_KINDS = (FREE, BALL, SLIDE, HINGE)  # in the order of mjtJoint
+
+
+def load(source: str | Path | mujoco.MjModel) -> Robot:
+    """Load a robot.
+
+    Hinge, slide, ball and free joints, several on a body, trees, fixed bodies (kept, also those of a URDF), sites and
+    equality-coupled joints (URDF mimic joints among them). Meshes are read only where an inertia depends on them; what
+    had to be left out is logged in one line and kept in `robot.notes`.
+
+    Args:
+        source: path of an MJCF or URDF file, its text, or a compiled model.
+
+    Returns:
+        The robot, its numbers as NumPy float64.
+
+    Raises:
+        FileNotFoundError: no such file.
+        InputError: the file is no robot, or MuJoCo cannot compile it; the message names the file and the element.
+    """
+    if isinstance(source, (str, Path)):
+        name, spec = _read(source)
+        model, massless, notes = _compile(name, spec)
+        for note in notes:
+            _log.warning("%s: %s", name, note)
+    else:
+        model, massless, notes = source, (), ()
+    return _robot(model, massless, tuple(notes))
+
+
+def _read(source: str | Path) -> tuple[str, Any]:
+    """Parse a file or a text; return a name for messages and MuJoCo's editable model."""
+    import mujoco
+
+    text = str(source)
+    inline = isinstance(source, str) and text.lstrip().startswith("<")
+    name = "robot text" if inline else text
+    try:
+        if inline:
+            return name, mujoco.MjSpec.from_string(text)
+        path = Path(source)
+        if not path.is_file():
+            raise FileNotFoundError(f"{path}: no such file; expected an MJCF or URDF robot")
+        head = path.read_bytes()[:4096].decode("utf-8", errors="replace")
+        if not re.search(r"<(mujoco|robot)\b", path.read_text(encoding="utf-8", errors="replace")):
+            found = head.strip().splitlines()[0][:60] if head.strip() else "an empty file"
+            raise InputError(f"{path}: not a robot: expected MJCF (<mujoco>) or URDF (<robot>), found {found!r}")
+        return name, mujoco.MjSpec.from_file(str(path))
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{name}: MuJoCo cannot read it: {_one_line(error)}") from None
+
+
+def _one_line(error: Exception) -> str:
+    return "; ".join(part.strip() for part in str(error).splitlines() if part.strip())
+
+
+def _compile(name: str, spec: Any) -> tuple[mujoco.MjModel, tuple[str, ...], list[str]]:
+    """Compile what kinematics and dynamics need; return the model, the bodies without inertia, and notes."""
+    spec.compiler.fusestatic = False
+    notes, massless = _drop_meshes(spec)
+    _drop_decoration(spec)
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        if "mass and inertia of moving bodies" not in str(error):
+            raise InputError(f"{name}: MuJoCo cannot compile it: {_one_line(error)}") from None
+        massless += _stand_in(spec)
+        try:
+            model = spec.compile()
+        except ValueError as second:
+            raise InputError(f"{name}: MuJoCo cannot compile it: {_one_line(second)}") from None
+    if massless:
+        shown = ", ".join(massless[:4]) + (", ..." if len(massless) > 4 else "")
+        notes.append(f"kinematics only: no inertia for {len(massless)} bodies ({shown})")
+    return model, tuple(massless), notes
+
+
+def _drop_meshes(spec: Any) -> tuple[list[str], list[str]]:
+    """Delete geoms that need a mesh or height-field file, but for present files that an inertia depends on."""
+    folder = Path(spec.modelfiledir or ".")
+    absent = {mesh.name for mesh in spec.meshes if mesh.file and not _exists(folder, spec, mesh.file)}
+    absent_fields = {field.name for field in spec.hfields if field.file and not _exists(folder, spec, field.file)}
+    missing = {mesh.file for mesh in spec.meshes if mesh.name in absent}
+    missing |= {field.file for field in spec.hfields if field.name in absent_fields}
+    massless: list[str] = []
+    dropped: list[str] = []
+    kept: set[str] = set()
+    for body in spec.bodies:
+        for geom in list(body.geoms):
+            if not geom.meshname and geom.hfieldname not in absent_fields:
+                continue
+            weighs = geom.meshname and _gives_inertia(spec, body, geom)
+            if weighs and geom.meshname not in absent:
+                kept.add(geom.meshname)
+                continue
+            if weighs and body.name not in massless:
+                massless.append(body.name)
+            dropped.append(geom.name)
+            spec.delete(geom)
+    for mesh in list(spec.meshes):
+        if mesh.name not in kept:
+            spec.delete(mesh)
+    for field in list(spec.hfields):
+        if field.name in absent_fields:
+            spec.delete(field)
+    for pair in list(spec.pairs):
+        if {pair.geomname1, pair.geomname2} & set(dropped):
+            spec.delete(pair)
+    for body in spec.bodies:
+        if body.name in massless:
+            _give_unit_inertia(body)
+    notes = [f"{len(missing)} mesh files absent, geometry left out (first: {min(missing)})"] if missing else []
+    return notes, [name for name in massless if name != "world"]
+
+
+def _exists(folder: Path, spec: Any, file: str) -> bool:
+    return any((folder / sub / file).is_file() for sub in ("", spec.meshdir or "", spec.compiler.meshdir or ""))
+
+
+def _gives_inertia(spec: Any, body: Any, geom: Any) -> bool:
+    """Tell whether a geom counts for its body's inertia, as MuJoCo's compiler decides it."""
+    import mujoco
+
+    if body.name == "world" or geom.mass == 0 or (np.isnan(geom.mass) and geom.density == 0):
+        return False
+    low, high = spec.compiler.inertiagrouprange
+    mode = spec.compiler.inertiafromgeom
+    from_geom = mode == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE or not body.explicitinertial
+    return bool(low <= geom.group <= high and from_geom and mode != mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE)
+
+
+def _stand_in(spec: Any) -> list[str]:
+    """Let bodies compile that move and have no mass at all; they count as without inertia."""
+    found = []
+    for body in spec.bodies:
+        if body.joints and not body.explicitinertial and not body.geoms:
+            _give_unit_inertia(body)
+            found.append(body.name)
+    return found
+
+
+def _give_unit_inertia(body: Any) -> None:
+    body.explicitinertial = True
+    body.mass = 1.0
+    body.ipos = (0, 0, 0)
+    body.inertia = (1, 1, 1)
+
+
+def _drop_decoration(spec: Any) -> None:
+    """Delete what only pictures, contacts and control need and what may name files that are absent."""
+    for material in list(spec.materials):
+        material.textures = [""] * len(material.textures)
+    for group in (spec.textures, spec.skins, spec.sensors):
+        for element in list(group):
+            spec.delete(element)
+
+
+def _robot(model: mujoco.MjModel, massless: tuple[str, ...], notes: tuple[str, ...]) -> Robot:
+    import mujoco
+
+    def name(kind: Any, index: int, stem: str) -> str:
+        return mujoco.mj_id2name(model, kind, index) or f"{stem}{index}"
+
+    objects = mujoco.mjtObj
+    body_names = tuple(name(objects.mjOBJ_BODY, i, "body") for i in range(1, model.nbody))
+    kinds = tuple(_KINDS[t] for t in model.jnt_type)
+    topology = Topology(
+        name=model.names[: model.names.index(b"\0")].decode() or "robot",
+        body_names=body_names,
+        body_parent=tuple(int(p) - 1 for p in model.body_parentid[1:]),
+        joint_names=tuple(name(objects.mjOBJ_JOINT, i, "joint") for i in range(model.njnt)),
+        joint_kind=kinds,
+        joint_body=tuple(int(b) - 1 for b in model.jnt_bodyid),
+        joint_q=tuple(int(a) for a in model.jnt_qposadr),
+        joint_v=tuple(int(a) for a in model.jnt_dofadr),
+        site_names=tuple(name(objects.mjOBJ_SITE, i, "site") for i in range(model.nsite)),
+        site_body=tuple(int(b) - 1 for b in model.site_bodyid),
+        couplings=(),
+        massless=massless,
+        notes=notes,
+    )
+    couplings, coefficients = _couplings(model)
+    object.__setattr__(topology, "couplings", couplings)
+    mass = model.body_mass[1:].copy()
+    inertia = _full_inertia(model)
+    for index, body in enumerate(body_names):
+        if body in massless:
+            mass[index], inertia[index] = 0.0, 0.0
+    return Robot(
+        topology=topology,
+        body_position=model.body_pos[1:].copy(),
+        body_quaternion=model.body_quat[1:].copy(),
+        body_mass=mass,
+        body_com=model.body_ipos[1:].copy(),
+        body_inertia=inertia,
+        joint_anchor=model.jnt_pos.copy(),
+        joint_axis=model.jnt_axis.copy(),
+        joint_reference=model.qpos0.copy(),
+        site_position=model.site_pos.copy(),
+        site_quaternion=model.site_quat.copy(),
+        coupling=coefficients,
+        gravity=model.opt.gravity.copy(),
+        armature=model.dof_armature.copy(),
+        damping=model.dof_damping.copy(),
+        friction_loss=model.dof_frictionloss.copy(),
+        stiffness=model.jnt_stiffness.copy(),
+        spring_reference=model.qpos_spring.copy(),
+        home=_home(model),
+        limits=_limits(model, kinds),
+    )
+
+
+def _full_inertia(model: mujoco.MjModel) -> np.ndarray:
+    """Turn MuJoCo's principal inertias and their axes into matrices in the body's axes, (nb, 3, 3)."""
+    import mujoco
+
+    full = np.zeros((model.nbody - 1, 3, 3))
+    for i in range(1, model.nbody):
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, model.body_iquat[i])
+        rotation = rotation.reshape(3, 3)
+        full[i - 1] = rotation @ np.diag(model.body_inertia[i]) @ rotation.T
+    return full
+
+
+def _couplings(model: mujoco.MjModel) -> tuple[tuple[tuple[int, int], ...], np.ndarray]:
+    """Collect active joint equalities, leaders before those that depend on them."""
+    import mujoco
+
+    waiting = {
+        int(model.eq_obj1id[i]): (int(model.eq_obj2id[i]), model.eq_data[i, :5])
+        for i in range(model.neq)
+        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]
+    }
+    ordered: list[tuple[int, int]] = []
+    rows: list[np.ndarray] = []
+    while waiting:
+        ready = [joint for joint, (leader, _) in waiting.items() if leader not in waiting]
+        if not ready:
+            raise InputError(f"equality: joints {sorted(waiting)} are coupled in a circle")
+        for joint in ready:
+            leader, coefficients = waiting.pop(joint)
+            ordered.append((joint, leader))
+            rows.append(coefficients.copy())
+    return tuple(ordered), np.array(rows).reshape(-1, 5)
+
+
+def _home(model: mujoco.MjModel) -> np.ndarray:
+    import mujoco
+
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
+    return (model.key_qpos[key] if key >= 0 else model.qpos0).copy()
+
+
+def _limits(model: mujoco.MjModel, kinds: tuple[str, ...]) -> np.ndarray:
+    limits = np.tile([-np.inf, np.inf], (model.nq, 1))
+    for joint, kind in enumerate(kinds):
+        if model.jnt_limited[joint] and NQ[kind] == 1:
+            limits[model.jnt_qposadr[joint]] = model.jnt_range[joint]
+    return limits
