@@ -71,10 +71,10 @@ def claimed_deg(quaternion: NDArray[Any], covariance: NDArray[Any]) -> tuple[NDA
     heading = np.einsum("ti,tij,tj->t", up, covariance, up)
     rest = np.maximum(np.trace(covariance, axis1=1, axis2=2) - heading, 0)
     bounds = NORMAL_95 * np.sqrt(np.maximum(heading, 0)), np.sqrt(CHI_2_95 * rest / 2)
-    return tuple(np.minimum(np.rad2deg(bound), 180.0) for bound in bounds)  # type: ignore[return-value]
+    return tuple(np.minimum(np.rad2deg(bound), 180.0) for bound in bounds)
 
 
-def orientation(
+def draw(
     path: str | Path,
     time: NDArray[Any],
     quaternion: NDArray[Any],

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from jaxest.viz import orientation as package_function
-from jaxest.viz.orientation import angles, claimed_deg
 from scipy.spatial.transform import Rotation
+
+from jaxest.viz.orientation import angles, claimed_deg, draw
 
 RNG = np.random.default_rng(4)
 
@@ -51,5 +51,5 @@ def test_picture_is_written(tmp_path, full):
         hidden = truth.copy()
         hidden[:5] = np.nan
         more = {"covariance": np.tile(np.eye(3) * 1e-4, (n, 1, 1)), "truth": hidden, "movement": np.arange(n) > 9}
-    package_function(tmp_path / "a.png", np.arange(n) * 0.1, truth, **more, heading=full, title="x")
+    draw(tmp_path / "a.png", np.arange(n) * 0.1, truth, **more, heading=full, title="x")
     assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
