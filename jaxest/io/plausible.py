@@ -1,0 +1,125 @@
+"""What the numbers themselves say about their unit and order: gravity, the earth's field, rotation of the gravity."""
+
+import itertools
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Bands of the median norm; a resting accelerometer reads one g, the earth's field is 22 to 67 uT.
+_GRAVITY = {"m/s2": (6.0, 15.0), "g": (0.6, 1.5)}
+_FIELD = {"uT": (15.0, 100.0), "mG": (150.0, 1000.0), "nT": (15e3, 100e3), "mT": (0.015, 0.1), "T": (15e-6, 100e-6)}
+_FIELD_G, _FIELD_1 = (0.15, 0.9), (0.9, 1.1)
+FASTEST = 70.0  # rad/s: twice the range of common gyroscopes
+_SHARE = 99  # percent of the samples that must be slower
+
+
+def median_norm(value: NDArray[Any]) -> float:
+    """Return the median norm of the finite rows.
+
+    Args:
+        value: (n, k).
+
+    Returns:
+        The median, NaN where no row is finite.
+    """
+    rows = np.asarray(value, np.float64)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    return float(np.median(np.linalg.norm(rows, axis=1))) if len(rows) else float("nan")
+
+
+def acceleration_unit(value: NDArray[Any]) -> str:
+    """Return the unit that an accelerometer's readings (n, 3) must be in, or nothing where their size fits none."""
+    norm = median_norm(value)
+    return next((unit for unit, (low, high) in _GRAVITY.items() if low <= norm <= high), "")
+
+
+def field_unit(value: NDArray[Any]) -> str:
+    """Return the unit that a magnetometer's readings (n, 3) must be in, `1` where only their direction is of use."""
+    norm = median_norm(value)
+    bands = {**_FIELD, "G": _FIELD_G, "1": _FIELD_1}
+    return next((unit for unit, (low, high) in bands.items() if low <= norm <= high), "1")
+
+
+def too_fast(gyr: NDArray[Any]) -> bool:
+    """Say whether the rates (n, 3) are beyond what a gyroscope measures, if they were rad/s."""
+    norm = np.linalg.norm(np.nan_to_num(np.asarray(gyr, np.float64)), axis=1)
+    return bool(np.percentile(norm, _SHARE) > FASTEST)
+
+
+class RateCheck(NamedTuple):
+    """How far the measured gravity turned, against the integrated gyroscope."""
+
+    ratio: float
+    """1 where the gyroscope is in rad/s, pi/180 where it is in deg/s; NaN where nothing turned."""
+    correlation: float
+
+
+def rate_check(time: NDArray[np.float64], gyr: NDArray[Any], acc: NDArray[Any], window: float = 0.04) -> RateCheck:
+    """Compare the rotation of the accelerometer's direction with the gyroscope.
+
+    Means over short blocks are compared: between two blocks the direction u changes by -(omega T) x u.
+
+    Args:
+        time: (n,) s.
+        gyr: (n, 3), taken as rad/s.
+        acc: (n, 3), any unit.
+        window: length of a block, s.
+
+    Returns:
+        The regression of what is seen on what is predicted, and their correlation.
+    """
+    dt = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    size = max(1, round(window / dt)) if dt > 0 else 1
+    count = len(time) // size
+    if count < 20:
+        return RateCheck(float("nan"), 0.0)
+    rate, force = (
+        np.asarray(v, np.float64)[: count * size].reshape(count, size, 3).mean(axis=1) for v in (gyr, acc)
+    )  # fmt: skip
+    u = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-12)
+    step = (time[size : count * size : size] - time[: (count - 1) * size : size])[:, None]
+    predicted = -np.cross(0.5 * (rate[1:] + rate[:-1]) * step, 0.5 * (u[1:] + u[:-1]))
+    seen = np.diff(u, axis=0)
+    use = np.isfinite(predicted).all(axis=1) & np.isfinite(seen).all(axis=1) & (step[:, 0] < 3 * size * dt)
+    both = float(np.sum(predicted[use] * seen[use]))
+    size_p, size_s = float(np.sum(predicted[use] ** 2)), float(np.sum(seen[use] ** 2))
+    if size_p == 0 or size_s == 0:
+        return RateCheck(float("nan"), 0.0)
+    return RateCheck(both / size_p, both / float(np.sqrt(size_p * size_s)))
+
+
+def in_degrees(check: RateCheck) -> bool | None:
+    """Say whether a gyroscope is in deg/s: yes, no, or None where the motion does not tell."""
+    if not check.correlation > 0.2:
+        return None
+    return True if 0.005 < check.ratio < 0.06 else False if 0.3 < check.ratio < 3.0 else None
+
+
+def quaternion_order(quat: NDArray[Any], acc: NDArray[Any]) -> str:
+    """Tell the order and direction of quaternions from where they put the measured gravity.
+
+    Turned into the earth frame by the right convention, the accelerometer's mean keeps its length; by a wrong one it
+    averages out, provided that the sensor was turned about.
+
+    Args:
+        quat: (n, 4).
+        acc: (n, 3) at the same times, any unit.
+
+    Returns:
+        `wxyz`, `xyzw`, either followed by ` inverse` where they map earth to sensor, or nothing where it cannot be
+        told.
+    """
+    rows = np.isfinite(quat).all(axis=1) & np.isfinite(acc).all(axis=1)
+    if rows.sum() < 20:
+        return ""
+    q, a = np.asarray(quat, np.float64)[rows], np.asarray(acc, np.float64)[rows]
+    length = np.linalg.norm(a, axis=1).mean()
+    found = {}
+    for order, inverse in itertools.product(("wxyz", "xyzw"), (False, True)):
+        w, v = (q[:, :1], q[:, 1:]) if order == "wxyz" else (q[:, 3:], q[:, :3])
+        v = -v if inverse else v
+        turned = a + 2 * np.cross(v, np.cross(v, a) + w * a)
+        found[order + " inverse" * inverse] = np.linalg.norm(turned.mean(axis=0)) / length
+    best, second = sorted(found, key=lambda k: -found[k])[:2]
+    return best if found[best] > 0.9 and found[second] < 0.85 * found[best] else ""

@@ -1,0 +1,296 @@
+"""A guess at the column table of somebody else's file, from its names, shapes and magnitudes.
+
+What the data settle (an accelerometer of median norm 1 is in g) is applied and listed as assumed; what they leave open
+(no sampling rate, two candidates for one stream) is listed as unsure, and the file is not read without an answer.
+"""
+
+import json
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxest.io import columns, plausible, units
+from jaxest.io.columns import Column, ColumnTable
+from jaxest.io.raw import Raw
+from jaxest.io.words import Word, classify
+from jaxest.types import InputError
+
+
+class Proposal(NamedTuple):
+    """A guessed table."""
+
+    table: ColumnTable
+    assumed: tuple[str, ...]
+    """What was taken for granted, one sentence each."""
+    unsure: tuple[str, ...]
+    """What only the user knows; not empty means that `read` needs a table."""
+
+
+class _Found(NamedTuple):
+    """A stream while it is being guessed."""
+
+    column: Column
+    value: NDArray[Any]
+    owner: str
+
+
+def guess(raw: Raw) -> Proposal:
+    """Guess the column table of a file.
+
+    Args:
+        raw: the file.
+
+    Returns:
+        The proposal.
+
+    Raises:
+        InputError: a numeric column is damaged, or nothing looks like a stream.
+    """
+    if raw.broken:
+        raise InputError(f"{raw.source}: {next(iter(raw.broken.values()))}")
+    words = {name: classify(name) for name in raw.arrays}
+    assumed: list[str] = []
+    unsure: list[str] = []
+    found = _streams(raw, words, assumed, unsure)
+    if not found:
+        raise InputError(f"{raw.source}: nothing here looks like a stream; {raw.word}s: {_listing(raw)}")
+    streams = {}
+    for name, entry in found.items():
+        column = _clock(raw, words, name, entry, assumed, unsure)
+        streams[name] = entry._replace(column=column)
+    left = [n for n in raw.arrays if not _used(n, words[n], streams)]
+    if left:
+        assumed.append(f"left out: {', '.join(left)}")
+    assumed += [f"left out: {reason}" for reason in raw.refused.values()]
+    table = {name: _with_unit(raw, name, streams, assumed, unsure) for name in streams}
+    return Proposal(_shared(table), tuple(dict.fromkeys(assumed)), tuple(dict.fromkeys(unsure)))
+
+
+def _listing(raw: Raw) -> str:
+    entries = [f"{name} {value.shape}" for name, value in raw.arrays.items()]
+    return ", ".join([*entries, *raw.refused]) or "none"
+
+
+def _used(name: str, word: Word, streams: dict[str, _Found]) -> bool:
+    for entry in streams.values():
+        c = entry.column
+        if name == c.array or name in c.columns or name in (c.time, c.rate):
+            return True
+    return word.kind == "period"
+
+
+def _streams(raw: Raw, words: dict[str, Word], assumed: list[str], unsure: list[str]) -> dict[str, _Found]:
+    """Find the streams by name; then take in what has as many rows as they have, then matrices of many columns."""
+    found: dict[str, _Found] = {}
+    groups: dict[tuple[str, str], list[str]] = {}
+    rest = []
+    for name, word in words.items():
+        value = raw.arrays[name]
+        if word.kind in ("time", "rate", "period") or value.ndim == 0 or value.dtype.kind not in "biuf":
+            continue
+        if value.ndim == 1 and word.component:
+            groups.setdefault((word.kind, word.owner), []).append(name)
+        elif word.kind:
+            _add(found, _named(word.kind, value), Column(array=name, unit=word.unit), value, word.owner, unsure)
+        else:
+            rest.append(name)
+    for (kind, owner), names in groups.items():
+        names = sorted(names, key=lambda n: (len(words[n].component), words[n].component.replace("w", "W")))
+        value = np.stack([raw.arrays[n] for n in names], axis=-1) if _equal(raw, names) else np.zeros((0, 0))
+        units_of = {words[n].unit for n in names}
+        column = Column(columns=tuple(names), unit=units_of.pop() if len(units_of) == 1 else "")
+        if kind and len(value) and _named(kind, value):
+            joints = tuple(names) if kind.startswith("joint") else ()
+            _add(found, _named(kind, value), column._replace(names=joints), value, owner, unsure)
+        else:
+            rest += names
+    rows = {len(entry.value) for entry in found.values()} | {
+        raw.arrays[n].size for n, w in words.items() if w.kind == "time"
+    }
+    for name in rest:
+        value = raw.arrays[name]
+        if not _matrix(found, name, value, assumed, unsure) and len(value) in rows and len(value) > 1:
+            _add(found, name.strip("/") or "column", Column(array=name), value, words[name].owner, unsure, named=True)
+            assumed.append(f"{name}: kept as a stream of its own, unit not known")
+    return found
+
+
+def _equal(raw: Raw, names: list[str]) -> bool:
+    return len({raw.arrays[n].shape for n in names}) == 1
+
+
+def _named(kind: str, value: NDArray[Any]) -> str:
+    """Return the stream's name for a kind and shape: `q` of four columns may be a quaternion."""
+    if kind == "joint_position" and value.ndim == 2 and value.shape[1] == 4:
+        norm = plausible.median_norm(value)
+        return "orientation" if abs(norm - 1) < 1e-2 and np.ptp(np.linalg.norm(value, axis=1)) < 1e-2 else kind
+    if kind == "accelerometer" and value.ndim == 2 and value.shape[1] != 3:
+        return "joint_acceleration"
+    return kind
+
+
+def _add(
+    found: dict[str, _Found], kind: str, column: Column, value: NDArray[Any], owner: str, unsure: list[str],
+    named: bool = False,
+) -> None:  # fmt: skip
+    name = f"{owner}/{kind}" if owner and not named else kind
+    shape = units.shape_of(name)
+    if shape is not None and value.shape[1:] != shape:
+        what = column.array or ", ".join(map(str, column.columns))
+        unsure.append(f"{name}: {what} has shape {value.shape}, expected (n, {shape[0]})")
+        return
+    if name in found:
+        other = found[name].column
+        unsure.append(f"{name}: both {other.array or other.columns} and {column.array or column.columns} could be it")
+        name = f"{name}_{sum(n.startswith(name) for n in found) + 1}"
+    found[name] = _Found(column, value, owner)
+
+
+def _matrix(found: dict[str, _Found], name: str, value: NDArray[Any], assumed: list[str], unsure: list[str]) -> bool:
+    """Take an unnamed (n, 7 or 8) array apart as stamps, a gyroscope and an accelerometer."""
+    if value.ndim != 2 or value.shape[1] not in (7, 8) or value.dtype.kind != "f" or len(value) < 2:
+        return False
+    if not (np.diff(value[:, 0]) > 0).all():
+        return False
+    first = value.shape[1] - 6
+    parts = [tuple(range(first, first + 3)), tuple(range(first + 3, first + 6))]
+    norms = [plausible.median_norm(value[:, list(part)]) for part in parts]
+    gyr, acc = parts if norms[0] < norms[1] else parts[::-1]
+    owner = name if name != "imu" else ""
+    time = 0
+    for kind, part in (("gyroscope", gyr), ("accelerometer", acc)):
+        _add(found, kind, Column(array=name, columns=part, time=time), value[:, list(part)], owner, unsure)
+    unsure.append(
+        f"{name} {value.shape}: column 0 may be stamps, columns {list(gyr)} a gyroscope and {list(acc)} an "
+        f"accelerometer (median norms {norms[0]:.3g} and {norms[1]:.3g})"
+    )
+    return True
+
+
+def _clock(raw: Raw, words: dict[str, Word], name: str, entry: _Found, assumed: list[str], unsure: list[str]) -> Column:
+    """Find the stamps or the rate of a stream: those of the same owner first."""
+    column, n = entry.column, len(entry.value)
+    if column.time is not None:
+        stamps, unit = raw.arrays[column.array][:, 0], ""
+    else:
+        times = [t for t, w in words.items() if w.kind == "time" and raw.arrays[t].size == n]
+        times = [t for t in times if words[t].owner == entry.owner] or [t for t in times if not words[t].owner] or times
+        if not times:
+            return _rate(raw, words, name, entry, assumed, unsure)
+        if len(times) > 1:
+            unsure.append(f"{name}: stamps could be any of {', '.join(times)}")
+        stamps, unit = raw.arrays[times[0]].ravel(), words[times[0]].unit
+        column = column._replace(time=times[0])
+    time_unit = unit or _time_unit(stamps)
+    if not time_unit:
+        step = float(np.median(np.diff(stamps.astype(np.float64))))
+        unsure.append(f"{name}: the unit of its stamps {column.time!r} is open (median step {step:g})")
+    elif time_unit != "s":
+        assumed.append(f"{name}: stamps {column.time!r} taken as {time_unit}")
+    return column._replace(time_unit=time_unit)
+
+
+def _rate(raw: Raw, words: dict[str, Word], name: str, entry: _Found, assumed: list[str], unsure: list[str]) -> Column:
+    scalars = {n: w for n, w in words.items() if w.kind in ("rate", "period") and raw.arrays[n].size == 1}
+    mine = [n for n in scalars if scalars[n].owner == entry.owner] or [n for n in scalars if not scalars[n].owner]
+    if not mine:
+        unsure.append(f"{name}: no stamps of {len(entry.value)} rows and no sampling rate found; add rate = ... in Hz")
+        return entry.column
+    if len(mine) > 1:
+        unsure.append(f"{name}: the sampling rate could be any of {', '.join(mine)}")
+    value = float(raw.arrays[mine[0]].reshape(()))
+    assumed.append(f"{mine[0]} = {value:.6g} taken as sampling {scalars[mine[0]].kind}")
+    rate: float | str = 1 / value if scalars[mine[0]].kind == "period" and value > 0 else mine[0]
+    return entry.column._replace(rate=rate)
+
+
+def _time_unit(stamps: NDArray[Any]) -> str:
+    """Tell the unit of stamps from the size of stamps since 1970, or from their step; nothing where it is open."""
+    if stamps.dtype.kind == "M" or len(stamps) < 2:
+        return "s"
+    for unit, per_second in (("ns", 1e9), ("us", 1e6), ("ms", 1e3), ("s", 1.0)):
+        if 5e8 < float(stamps[0]) / per_second < 5e9:  # 1985 to 2128
+            return unit
+    return "s" if float(np.median(np.diff(stamps.astype(np.float64)))) < 0.5 else ""
+
+
+def _with_unit(raw: Raw, name: str, streams: dict[str, _Found], assumed: list[str], unsure: list[str]) -> Column:
+    """Settle the unit by the name, else by magnitude."""
+    column, value, _ = streams[name]
+    kind = units.kind_of(name)
+    if column.unit or kind not in units.KINDS:
+        return column
+    unit = units.default_unit(name)
+    partner = f"{name.removesuffix(kind)}accelerometer"
+    acc = streams[partner].value if partner in streams and len(streams[partner].value) == len(value) else None
+    if kind == "accelerometer":
+        unit = plausible.acceleration_unit(value)
+        if not unit:
+            unsure.append(f"{name}: median norm {plausible.median_norm(value):.4g} is neither m/s2 nor g")
+    elif kind == "magnetometer":
+        unit = plausible.field_unit(value)
+    elif kind == "gyroscope" and acc is not None:
+        turned = plausible.in_degrees(plausible.rate_check(_seconds(raw, column, len(value)), value, acc))
+        unit = "deg/s" if turned else unit
+        if turned is None and plausible.too_fast(value):
+            unsure.append(f"{name}: faster than any gyroscope in rad/s; deg/s?")
+    elif kind == "gyroscope" and plausible.too_fast(value):
+        unsure.append(f"{name}: faster than any gyroscope in rad/s; deg/s?")
+    elif kind == "orientation" and acc is not None:
+        order = plausible.quaternion_order(value, acc)
+        if order.endswith("inverse"):
+            unsure.append(f"{name}: seems to map earth to sensor; jaxest's maps sensor to earth")
+        if order.startswith("xyzw"):
+            assumed.append(f"{name}: quaternions taken as xyzw, as they put gravity in place")
+            column = column._replace(order="xyzw")
+    assumed.append(f"{name}: unit {unit or 'unknown'} assumed")
+    return column._replace(unit=unit)
+
+
+def _seconds(raw: Raw, column: Column, n: int) -> NDArray[np.float64]:
+    if column.time is None:
+        return np.arange(n) / (columns.rate_of(raw, column.rate, raw.source) if column.rate is not None else 100.0)
+    stamps = raw.arrays[column.array][:, 0] if isinstance(column.time, int) else raw.arrays[column.time].ravel()
+    return columns.seconds(stamps, column.time_unit or "s")
+
+
+def _shared(streams: dict[str, Column]) -> ColumnTable:
+    """Move to the top what all streams have in common."""
+    every = list(streams.values())
+    table = ColumnTable(streams)
+    first = every[0]
+    if not isinstance(first.time, int) and all(
+        (c.time, c.rate, c.time_unit) == (first.time, first.rate, first.time_unit) for c in every
+    ):
+        table = table._replace(time=first.time, rate=first.rate, time_unit=first.time_unit)
+        streams = {name: c._replace(time=None, rate=None, time_unit="") for name, c in streams.items()}
+    return table._replace(streams=streams)
+
+
+def to_toml(table: ColumnTable | Proposal) -> str:
+    """Write a column table as lines to paste into a config.
+
+    Args:
+        table: a table or a proposal, whose assumptions and open questions become comments.
+
+    Returns:
+        TOML text.
+    """
+    comments: list[str] = []
+    if isinstance(table, Proposal):
+        comments = [f"# open: {line}" for line in table.unsure] + [f"# {line}" for line in table.assumed]
+        table = table.table
+    plain = ColumnTable({})
+    lines = [*comments, "[columns]"]
+    lines += [f"{k} = {_toml(v)}" for k, v in table._asdict().items() if k != "streams" and v != getattr(plain, k)]
+    for name, column in table.streams.items():
+        lines += ["", f"[columns.{name if name.isidentifier() and name.isascii() else json.dumps(name)}]"]
+        lines += [f"{k} = {_toml(v)}" for k, v in column._asdict().items() if v != Column._field_defaults[k]]
+    return "\n".join(lines) + "\n"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    return json.dumps(value)

@@ -1,0 +1,119 @@
+"""What the name of an array or column says: which kind of stream, whose, which component, which unit."""
+
+import itertools
+import re
+from typing import NamedTuple
+
+from jaxest.io import units
+from jaxest.types import InputError
+
+
+class Word(NamedTuple):
+    """A name taken apart."""
+
+    kind: str
+    """Stream name, `time`, `rate`, `period`, or nothing where the name says nothing."""
+    owner: str
+    """What is left of the name: `imu0` in `imu0_gyr_x`, `cmd` in `dq_cmd`."""
+    component: str
+    """`x`, `y`, `z`, `w` or a number, or nothing."""
+    unit: str
+
+
+_KINDS = {
+    "gyroscope": "gyr gyro gyros gyroscope omega angvel w",
+    "accelerometer": "acc accel accelerometer acceleration a",
+    "magnetometer": "mag magn magnetometer magnetic compass m",
+    "orientation": "quat quaternion orientation attitude",
+    "joint_position": "q qpos positions angles jointangles",
+    "joint_velocity": "dq qd qvel qdot velocities",
+    "joint_acceleration": "ddq qdd qacc accelerations",
+    "joint_torque": "tau torque torques effort efforts",
+    "time": "t time times stamp stamps timestamp timestamps",
+    "rate": "fs rate hz freq frequency samplerate fsamp",
+    "period": "dt ts period",
+}
+_OF = {word: kind for kind, words in _KINDS.items() for word in words.split()}
+_PAIRS = {
+    ("angular", "velocity"): "gyroscope", ("ang", "vel"): "gyroscope", ("angular", "rate"): "gyroscope",
+    ("linear", "acceleration"): "accelerometer", ("specific", "force"): "accelerometer",
+    ("magnetic", "field"): "magnetometer", ("sampling", "rate"): "rate", ("sample", "rate"): "rate",
+    ("sampling", "frequency"): "rate", ("sampling", "period"): "period", ("sample", "time"): "period",
+}  # fmt: skip
+# Words that mean something else unless the name speaks of joints.
+_JOINT = {"pos": "position", "position": "position", "angle": "position", "vel": "velocity", "velocity": "velocity",
+          "acc": "acceleration", "acceleration": "acceleration", "gyr": "velocity"}  # fmt: skip
+_EMPTY = {"raw", "data", "imu", "field", "sensor", "meas", "measured", "value", "values", "joint", "joints", "ros"}
+_SHORT = ("g", "a", "m", "w", "q", "gyr", "gyro", "acc", "accel", "mag", "quat", "dq", "qd", "ddq", "tau", "omega")
+_UNIT_TOKENS = {
+    "dps": "deg/s", "deg": "deg", "rad": "rad", "rads": "rad/s", "degs": "deg/s", "ut": "uT", "nt": "nT", "nm": "Nm",
+    "ms2": "m/s2", "g": "g", "mg": "mg", "s": "s", "sec": "s", "ms": "ms", "us": "us", "ns": "ns",
+}  # fmt: skip
+_AXES = ("w", "x", "y", "z")
+
+
+def classify(name: str) -> Word:
+    """Take a name apart.
+
+    Args:
+        name: of an array (NPZ) or column (CSV), for example `imu0_gyr_x [deg/s]`.
+
+    Returns:
+        Its meaning.
+    """
+    bracket = re.search(r"[\[(]([^\])]+)[\])]\s*$", name)
+    unit = ""
+    if bracket:
+        unit, name = bracket.group(1).strip(), name[: bracket.start()]
+    tokens = [t.lower() for t in re.findall(r"[A-Z]+(?![a-z])[0-9]*|[A-Z]?[a-z]+[0-9]*|[0-9]+", name)]
+    tokens, component = _component(tokens)
+    tokens, kind = _kind(tokens, component)
+    if not unit and tokens and _fits(kind, _UNIT_TOKENS.get(tokens[-1], "")):
+        unit = _UNIT_TOKENS[tokens[-1]]
+        tokens = tokens[:-1]
+    return Word(kind, "_".join(t for t in tokens if t not in _EMPTY), component, unit if _fits(kind, unit) else "")
+
+
+def _fits(kind: str, unit: str) -> bool:
+    """Say whether the unit can belong to the kind, so that `g` is gravity only behind an acceleration."""
+    try:
+        entry = units.for_stream(kind, unit)
+    except InputError:
+        return False
+    return entry.si == "s" if kind == "time" else bool(kind in units.KINDS or not kind)
+
+
+def _component(tokens: list[str]) -> tuple[list[str], str]:
+    """Split off the axis or number: `gx`, `gyr_x`, `q3`, `joint_3_position`."""
+    if len(tokens) > 1 and (tokens[-1] in _AXES or tokens[-1].isdigit()):
+        return tokens[:-1], tokens[-1]
+    joint = next((i for i, t in enumerate(tokens) if re.fullmatch(r"(joint|j)[0-9]+", t)), None)
+    if joint is not None:
+        return [*tokens[:joint], "joint", *tokens[joint + 1 :]], re.sub(r"\D", "", tokens[joint])
+    joint = next((i for i, t in enumerate(tokens[:-1]) if t == "joint" and tokens[i + 1].isdigit()), None)
+    if joint is not None:
+        return [*tokens[: joint + 1], *tokens[joint + 2 :]], tokens[joint + 1]
+    for i, token in enumerate(tokens):
+        found = re.fullmatch(rf"({'|'.join(_SHORT)})([wxyz]|[0-9]+)", token)
+        if found:
+            base = "gyr" if found.group(1) == "g" else found.group(1)
+            return [*tokens[:i], base, *tokens[i + 1 :]], found.group(2)
+    return tokens, ""
+
+
+def _kind(tokens: list[str], component: str) -> tuple[list[str], str]:
+    """Find the words that name a kind and take them out."""
+    for i, pair in enumerate(itertools.pairwise(tokens)):
+        if pair in _PAIRS:
+            return tokens[:i] + tokens[i + 2 :], _PAIRS[pair]
+    for i, token in enumerate(tokens):  # `gyr_time` is a time
+        if _OF.get(token) in ("time", "rate", "period"):
+            return tokens[:i] + tokens[i + 1 :], _OF[token]
+    for i, token in enumerate(tokens):
+        if ("joint" in tokens or "joints" in tokens) and token in _JOINT:
+            return tokens[:i] + tokens[i + 1 :], f"joint_{_JOINT[token]}"
+    for i, token in enumerate(tokens):
+        single = token in ("a", "m", "w")  # one letter means something only with an axis: `ax`
+        if token in _OF and not (single and component not in ("x", "y", "z")):
+            return tokens[:i] + tokens[i + 1 :], "orientation" if token == "q" and component in _AXES else _OF[token]
+    return tokens, ""
