@@ -69,7 +69,7 @@ def plan(robot: Robot, frames: Sequence[int], folded: Folded) -> Plan:
     chains = _cut(topology.joint_kind, carried, needed)
     place = {joint: (i, k) for i, chain in enumerate(chains) for k, joint in enumerate(chain.joints)}
     blocks = _blocks(frames, [place.get(carried.frame[f], (-1, 0)) for f in frames], _moved(folded))
-    inner = {b.chain for b in blocks if any(k < len(chains[b.chain].joints) - 1 for k in b.places)}
+    inner = {b.chain for b in blocks if b.chain >= 0 and min(b.places) < len(chains[b.chain].joints) - 1}
     kept = tuple(chain._replace(every=i in inner) for i, chain in enumerate(chains))
     return Plan(kept, blocks, topology.joint_q, topology.joint_v, topology.joint_kind)
 

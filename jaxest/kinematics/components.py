@@ -14,8 +14,8 @@ import numpy as np
 from jaxest.types import Array
 
 Scalar = Any
-Vector = tuple[Scalar, Scalar, Scalar]
-Quaternion = tuple[Scalar, Scalar, Scalar, Scalar]
+Vector = tuple[Scalar, ...]
+Quaternion = tuple[Scalar, ...]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
 

@@ -66,8 +66,10 @@ def fold(robot: Robot) -> Folded:
         The constants that `chains` and `forward` work with.
     """
     topology = robot.topology
-    leaves = (robot.body_position, robot.body_quaternion, robot.joint_anchor, robot.joint_axis)
-    leaves += (robot.site_position, robot.site_quaternion)
+    leaves = (
+        *(robot.body_position, robot.body_quaternion, robot.joint_anchor, robot.joint_axis),
+        *(robot.site_position, robot.site_quaternion),
+    )
     xp: Any = np if is_concrete(*leaves) else jnp
     position, quaternion, anchor, axis, site_position, site_quaternion = (xp.asarray(leaf) for leaf in leaves)
     quaternion, site_quaternion, axis = (_normalised(xp, x) for x in (quaternion, site_quaternion, axis))
@@ -92,9 +94,7 @@ def fold(robot: Robot) -> Folded:
     )
 
 
-def _bodies_in_joints(
-    xp: Any, topology: Topology, position: Any, quaternion: Any, anchor: Any
-) -> tuple[Any, Any]:
+def _bodies_in_joints(xp: Any, topology: Topology, position: Any, quaternion: Any, anchor: Any) -> tuple[Any, Any]:
     """Return each body's pose in the frame of the joint that carries it, (nb, 3) and (nb, 4)."""
     last = np.full(len(topology.body_names), -1)
     for j, body in enumerate(topology.joint_body):
@@ -131,7 +131,13 @@ def _distance_from_joint(topology: Topology, last: np.ndarray) -> list[int]:
 
 
 def _joints_in_joints(
-    xp: Any, topology: Topology, position: Any, quaternion: Any, anchor: Any, body_translation: Any, body_quaternion: Any
+    xp: Any,
+    topology: Topology,
+    position: Any,
+    quaternion: Any,
+    anchor: Any,
+    body_translation: Any,
+    body_quaternion: Any,
 ) -> tuple[Any, Any]:
     """Return each joint's frame in the frame of the joint before it, at the reference, (nj, 3) and (nj, 4)."""
     kinds, owner = topology.joint_kind, np.array(topology.joint_body, int)

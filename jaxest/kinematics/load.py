@@ -6,11 +6,12 @@ import logging
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import numpy as np
 
 from jaxest.kinematics.robot import BALL, FREE, HINGE, NQ, SLIDE, Robot, Topology
-from jaxest.types import InputError
+from jaxest.types import InputError, unknown_name
 
 if TYPE_CHECKING:
     import mujoco
@@ -42,7 +43,7 @@ def load(source: str | Path | mujoco.MjModel) -> Robot:
         for note in notes:
             _log.warning("%s: %s", name, note)
     else:
-        model, massless, notes = source, (), ()
+        model, massless, notes = source, (), []
     return _robot(model, massless, tuple(notes))
 
 
@@ -53,21 +54,30 @@ def _read(source: str | Path) -> tuple[str, Any]:
     text = str(source)
     inline = isinstance(source, str) and text.lstrip().startswith("<")
     name = "robot text" if inline else text
+    if not inline:
+        if not Path(source).is_file():
+            raise FileNotFoundError(f"{name}: no such file; expected an MJCF or URDF robot")
+        text = Path(source).read_text(encoding="utf-8", errors="replace")
+    if not re.search(r"<(mujoco|robot)\b", text):
+        found = text.strip().splitlines()[0][:60] if text.strip() else "an empty file"
+        raise InputError(f"{name}: not a robot: expected MJCF (<mujoco>) or URDF (<robot>), found {found!r}")
     try:
-        if inline:
-            return name, mujoco.MjSpec.from_string(text)
-        path = Path(source)
-        if not path.is_file():
-            raise FileNotFoundError(f"{path}: no such file; expected an MJCF or URDF robot")
-        head = path.read_bytes()[:4096].decode("utf-8", errors="replace")
-        if not re.search(r"<(mujoco|robot)\b", path.read_text(encoding="utf-8", errors="replace")):
-            found = head.strip().splitlines()[0][:60] if head.strip() else "an empty file"
-            raise InputError(f"{path}: not a robot: expected MJCF (<mujoco>) or URDF (<robot>), found {found!r}")
-        return name, mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_string(text) if inline else mujoco.MjSpec.from_file(name)
     except ValueError as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError(f"{name}: MuJoCo cannot read it: {_one_line(error)}") from None
+    _check_mimics(name, text)
+    return name, spec
+
+
+def _check_mimics(name: str, text: str) -> None:
+    """Refuse a URDF joint that mimics an unknown one: MuJoCo would let it move freely without a word."""
+    root = ElementTree.fromstring(text.encode())
+    joints = [str(joint.get("name")) for joint in root.iter("joint")]
+    for joint in root.iter("joint"):
+        for mimic in joint.iter("mimic"):
+            leader = str(mimic.get("joint"))
+            if leader not in joints:
+                raise InputError(f"{name}: joint {joint.get('name')!r} mimics: {unknown_name('joint', leader, joints)}")
 
 
 def _one_line(error: Exception) -> str:
@@ -79,16 +89,20 @@ def _compile(name: str, spec: Any) -> tuple[mujoco.MjModel, tuple[str, ...], lis
     spec.compiler.fusestatic = False
     notes, massless = _drop_meshes(spec)
     _drop_decoration(spec)
+    empty = [body for body in spec.bodies if body.joints and not body.explicitinertial and not body.geoms]
     try:
         model = spec.compile()
     except ValueError as error:
         if "mass and inertia of moving bodies" not in str(error):
             raise InputError(f"{name}: MuJoCo cannot compile it: {_one_line(error)}") from None
-        massless += _stand_in(spec)
+        for body in empty:
+            _give_unit_inertia(body)
+        massless += [body.name for body in empty]
         try:
             model = spec.compile()
         except ValueError as second:
             raise InputError(f"{name}: MuJoCo cannot compile it: {_one_line(second)}") from None
+    massless = [body for body in massless if model.body_weldid[model.body(body).id] != 0]  # a fixed one weighs nothing
     if massless:
         shown = ", ".join(massless[:4]) + (", ..." if len(massless) > 4 else "")
         notes.append(f"kinematics only: no inertia for {len(massless)} bodies ({shown})")
@@ -130,7 +144,7 @@ def _drop_meshes(spec: Any) -> tuple[list[str], list[str]]:
         if body.name in massless:
             _give_unit_inertia(body)
     notes = [f"{len(missing)} mesh files absent, geometry left out (first: {min(missing)})"] if missing else []
-    return notes, [name for name in massless if name != "world"]
+    return notes, massless
 
 
 def _exists(folder: Path, spec: Any, file: str) -> bool:
@@ -149,17 +163,8 @@ def _gives_inertia(spec: Any, body: Any, geom: Any) -> bool:
     return bool(low <= geom.group <= high and from_geom and mode != mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE)
 
 
-def _stand_in(spec: Any) -> list[str]:
-    """Let bodies compile that move and have no mass at all; they count as without inertia."""
-    found = []
-    for body in spec.bodies:
-        if body.joints and not body.explicitinertial and not body.geoms:
-            _give_unit_inertia(body)
-            found.append(body.name)
-    return found
-
-
 def _give_unit_inertia(body: Any) -> None:
+    """Let a body compile whose inertia is unknown."""
     body.explicitinertial = True
     body.mass = 1.0
     body.ipos = (0, 0, 0)
@@ -178,29 +183,25 @@ def _drop_decoration(spec: Any) -> None:
 def _robot(model: mujoco.MjModel, massless: tuple[str, ...], notes: tuple[str, ...]) -> Robot:
     import mujoco
 
-    def name(kind: Any, index: int, stem: str) -> str:
-        return mujoco.mj_id2name(model, kind, index) or f"{stem}{index}"
-
     objects = mujoco.mjtObj
-    body_names = tuple(name(objects.mjOBJ_BODY, i, "body") for i in range(1, model.nbody))
+    body_names = _names(model, objects.mjOBJ_BODY, "body", model.nbody)[1:]
     kinds = tuple(_KINDS[t] for t in model.jnt_type)
+    couplings, coefficients = _couplings(model)
     topology = Topology(
         name=model.names[: model.names.index(b"\0")].decode() or "robot",
         body_names=body_names,
         body_parent=tuple(int(p) - 1 for p in model.body_parentid[1:]),
-        joint_names=tuple(name(objects.mjOBJ_JOINT, i, "joint") for i in range(model.njnt)),
+        joint_names=_names(model, objects.mjOBJ_JOINT, "joint", model.njnt),
         joint_kind=kinds,
         joint_body=tuple(int(b) - 1 for b in model.jnt_bodyid),
         joint_q=tuple(int(a) for a in model.jnt_qposadr),
         joint_v=tuple(int(a) for a in model.jnt_dofadr),
-        site_names=tuple(name(objects.mjOBJ_SITE, i, "site") for i in range(model.nsite)),
+        site_names=_names(model, objects.mjOBJ_SITE, "site", model.nsite),
         site_body=tuple(int(b) - 1 for b in model.site_bodyid),
-        couplings=(),
+        couplings=couplings,
         massless=massless,
         notes=notes,
     )
-    couplings, coefficients = _couplings(model)
-    object.__setattr__(topology, "couplings", couplings)
     mass = model.body_mass[1:].copy()
     inertia = _full_inertia(model)
     for index, body in enumerate(body_names):
@@ -230,15 +231,31 @@ def _robot(model: mujoco.MjModel, massless: tuple[str, ...], notes: tuple[str, .
     )
 
 
+def _names(model: mujoco.MjModel, kind: Any, stem: str, count: int) -> tuple[str, ...]:
+    """Return the names of all elements of a kind; nameless ones get the first free `stem` with a number."""
+    import mujoco
+
+    given = [mujoco.mj_id2name(model, kind, i) for i in range(count)]
+    taken = set(given)
+    names = []
+    for index, name in enumerate(given):
+        number = index
+        while not name or (name != given[index] and name in taken):
+            name, number = f"{stem}{number}", number + 1
+        taken.add(name)
+        names.append(name)
+    return tuple(names)
+
+
 def _full_inertia(model: mujoco.MjModel) -> np.ndarray:
     """Turn MuJoCo's principal inertias and their axes into matrices in the body's axes, (nb, 3, 3)."""
     import mujoco
 
     full = np.zeros((model.nbody - 1, 3, 3))
     for i in range(1, model.nbody):
-        rotation = np.zeros(9)
-        mujoco.mju_quat2Mat(rotation, model.body_iquat[i])
-        rotation = rotation.reshape(3, 3)
+        flat = np.zeros(9)
+        mujoco.mju_quat2Mat(flat, model.body_iquat[i])
+        rotation = flat.reshape(3, 3)
         full[i - 1] = rotation @ np.diag(model.body_inertia[i]) @ rotation.T
     return full
 

@@ -11,6 +11,8 @@ import numpy as np
 
 from jaxest.types import Array, ArrayLike, unknown_name
 
+Leaf = Array | np.ndarray
+
 HINGE, SLIDE, BALL, FREE = "hinge", "slide", "ball", "free"
 NQ = {HINGE: 1, SLIDE: 1, BALL: 4, FREE: 7}
 NV = {HINGE: 1, SLIDE: 1, BALL: 3, FREE: 6}
@@ -73,43 +75,43 @@ class Robot:
     """
 
     topology: Topology = dataclasses.field(metadata={"static": True})
-    body_position: Array
+    body_position: Leaf
     """(nb, 3) m, origin of the body in its parent, before its joints move."""
-    body_quaternion: Array
+    body_quaternion: Leaf
     """(nb, 4) wxyz, body to parent."""
-    body_mass: Array
+    body_mass: Leaf
     """(nb,) kg."""
-    body_com: Array
+    body_com: Leaf
     """(nb, 3) m, centre of mass in the body."""
-    body_inertia: Array
+    body_inertia: Leaf
     """(nb, 3, 3) kg m2, about the centre of mass, in the body's axes."""
-    joint_anchor: Array
+    joint_anchor: Leaf
     """(nj, 3) m, a point on the joint's axis, in its body."""
-    joint_axis: Array
+    joint_axis: Leaf
     """(nj, 3), in its body; normalised on use."""
-    joint_reference: Array
+    joint_reference: Leaf
     """(nq,) coordinates at which the bodies stand as `body_position` says."""
-    site_position: Array
+    site_position: Leaf
     """(ns, 3) m, in the site's body."""
-    site_quaternion: Array
+    site_quaternion: Leaf
     """(ns, 4) wxyz, site to body."""
-    coupling: Array
+    coupling: Leaf
     """(nc, 5) polynomial coefficients of the coupled joints, in offsets from `joint_reference`."""
-    gravity: Array
+    gravity: Leaf
     """(3,) m/s2, in the world."""
-    armature: Array
+    armature: Leaf
     """(nv,) kg m2 (kg for slides), rotor inertia added to the mass matrix."""
-    damping: Array
+    damping: Leaf
     """(nv,) N m s (N s/m for slides)."""
-    friction_loss: Array
+    friction_loss: Leaf
     """(nv,) N m (N for slides)."""
-    stiffness: Array
+    stiffness: Leaf
     """(nj,) N m/rad (N/m for slides)."""
-    spring_reference: Array
+    spring_reference: Leaf
     """(nq,) coordinates at which the springs are at rest."""
-    home: Array
+    home: Leaf
     """(nq,) keyframe `home` if the file has one, else `joint_reference`."""
-    limits: Array
+    limits: Leaf
     """(nq, 2) rad or m, infinite where there is none."""
 
     @property
