@@ -82,6 +82,32 @@ def orientation_difference(estimate: Any, truth: Any) -> Any:
     return xp.stack([sign * scale * part for part in (x, y, z)], axis=-1)
 
 
+def align_heading(estimate: Any, truth: Any, sample: int = 0) -> Any:
+    """Turn the truth about the vertical so that the heading error of one sample is zero.
+
+    Without a magnetometer nothing tells the heading; what can be judged is how it drifts from that sample on.
+
+    Args:
+        estimate: (..., T, 4) unit quaternions wxyz, sensor to earth.
+        truth: (..., T, 4) unit quaternions wxyz, sensor to earth.
+        sample: index along T at which the headings are made equal; the truth must be there.
+
+    Returns:
+        (..., T, 4) the truth, turned.
+
+    Raises:
+        ValueError: a last axis is not 4.
+    """
+    xp = _namespace(estimate, truth)
+    w, _, _, z = _product(xp, estimate, truth, conjugate_first=False)
+    w, z = w[..., sample, None], z[..., sample, None]
+    norm = _norm(xp, w, z)
+    safe = xp.where(norm == 0, 1, norm)
+    c, s = xp.where(norm == 0, 1, w / safe), z / safe
+    a, b, d, e = (xp.asarray(truth)[..., i] for i in range(4))
+    return xp.stack([c * a - s * e, c * b - s * d, c * d + s * b, c * e + s * a], axis=-1)
+
+
 def circular_error(estimate: Any, truth: Any) -> Any:
     """Return the signed difference of angles on the circle.
 
@@ -257,6 +283,7 @@ def _identity(xp: Any, like: Any) -> Any:
 __all__ = [
     "Interval",
     "OrientationError",
+    "align_heading",
     "broad_rmse_deg",
     "circular_error",
     "coverage",

@@ -1,13 +1,14 @@
 """Recursive estimators, each one step written for one item, and the driver that scans them.
 
 Start with `run`: it drives every estimator over T measurements and keeps what `full`, `last` or `every(k)` ask for.
-An estimator is a file: `complementary` gives the orientation of one IMU. Its parameters, state, measurement and
-`init` / `step` live there; batches are the caller's `vmap`.
+An estimator is a file: `complementary` gives the orientation of one IMU, `complementary_covariance` how well it is
+known. Its parameters, state, measurement and `init` / `step` live there; batches are the caller's `vmap`.
 
 Not here: sensors and robots (a filter is handed functions), and complete estimators for a robot, which are in
 `jaxest.systems`.
 """
 
+from jaxest.filters import complementary, complementary_covariance
 from jaxest.filters.run import Every, Last, Sampled, every, full, last, run
 
-__all__ = ["Every", "Last", "Sampled", "every", "full", "last", "run"]
+__all__ = ["Every", "Last", "Sampled", "complementary", "complementary_covariance", "every", "full", "last", "run"]

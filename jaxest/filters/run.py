@@ -103,7 +103,7 @@ def run(
             asked of no measurement at all.
     """
     length = _length(measurements)
-    if not hasattr(state0, "index"):
+    if callable(getattr(state0, "index", len)):  # every tuple has a method of that name
         raise ValueError(f"state0: got {type(state0).__name__} without a field 'index', expected a state that counts")
     if isinstance(history, Last) and length == 0:
         raise ValueError("measurements: got 0 steps, expected at least 1 for the history 'last'")
