@@ -64,7 +64,7 @@ class ColumnTable(NamedTuple):
 _COMMON = tuple(name for name in ColumnTable._fields if name != "streams")
 
 
-def parse(data: Mapping[str, Any], place: str = "[columns]") -> ColumnTable:
+def parse(data: Mapping[str, Any], place: str = "columns") -> ColumnTable:
     """Turn the `[columns]` table of a config into a `ColumnTable`.
 
     Args:
@@ -130,7 +130,7 @@ def apply(raw: Raw, table: ColumnTable | Mapping[str, Any]) -> SensorLog:
         InputError: an array, column or unit does not exist (closest one named), or lengths do not fit.
     """
     if not isinstance(table, ColumnTable):
-        table = parse(table, f"{raw.source}: [columns]")
+        table = parse(table, f"{raw.source}: columns")
     streams = {}
     for name, column in table.streams.items():
         own = column.time is not None or column.rate is not None
@@ -144,7 +144,7 @@ def apply(raw: Raw, table: ColumnTable | Mapping[str, Any]) -> SensorLog:
 
 
 def _stream(raw: Raw, name: str, column: Column) -> Stream:
-    place = f"{raw.source}: [columns.{name}]"
+    place = f"{raw.source}: columns.{name}"
     value, blank = _value(raw, column, place)
     time, absent = _time(raw, column, len(value), place)
     if (blank | absent).any():  # a CSV line without cells for this stream is no sample of it

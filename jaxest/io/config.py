@@ -37,7 +37,7 @@ def read_config(path: PathLike, schema: Schema | None = None) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: {error}") from error
     rest = {key: value for key, value in data.items() if key != "columns"}
     if "columns" in data:
-        place = f"{path}{_line(text, ('columns',))}: [columns]"
+        place = f"{path}{_line(text, ('columns',))}: columns"
         if not isinstance(data["columns"], dict):
             raise InputError(f"{place}: expected a table")
         columns.parse(data["columns"], place)

@@ -74,7 +74,7 @@ def cells(path: PathLike) -> Cells:
     for row, line in zip(rows, lines, strict=True):
         if len(row) != len(header):
             raise InputError(f"{source}: line {line}: {len(row)} cells, expected {len(header)} as in the first line")
-    if len(set(header)) < len(header):
+    if meta is None and len(set(header)) < len(header):
         twice = next(name for name in header if header.count(name) > 1)
         raise InputError(f"{source}: line {lines[0]}: column {twice!r} is there twice")
     if len(rows) == start:

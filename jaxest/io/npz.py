@@ -115,7 +115,8 @@ def save(path: PathLike, arrays: Mapping[str, NDArray[Any]], overwrite: bool = F
 
 def is_log(raw: Raw) -> bool:
     """Say whether the arrays are laid out as `NAME/time`, `NAME/value`."""
-    return any(name.endswith("/time") and f"{name[:-5]}/value" in raw.arrays for name in raw.arrays)
+    names = {*raw.arrays, *raw.refused}
+    return any(name.endswith("/time") and f"{name[:-5]}/value" in names for name in names)
 
 
 def read_log(raw: Raw) -> SensorLog:
@@ -130,7 +131,9 @@ def read_log(raw: Raw) -> SensorLog:
     Raises:
         InputError: an array of a stream is missing, has a wrong shape, or its `meta` is not JSON text.
     """
-    names = dict.fromkeys(n.rsplit("/", 1)[0] for n in raw.arrays if n.endswith(("/time", "/value", "/meta")))
+    names = dict.fromkeys(
+        n.rsplit("/", 1)[0] for n in (*raw.arrays, *raw.refused) if n.endswith(("/time", "/value", "/meta"))
+    )
     streams, notes = {}, []
     for name in names:
         for part in ("time", "value"):

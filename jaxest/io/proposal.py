@@ -69,7 +69,7 @@ def guess(raw: Raw) -> Proposal:
 
 def _listing(raw: Raw) -> str:
     entries = [f"{name} {value.shape}" for name, value in raw.arrays.items()]
-    return ", ".join([*entries, *raw.refused]) or "none"
+    return "; ".join([", ".join(entries) or "none", *raw.refused.values()])
 
 
 def _used(name: str, word: Word, streams: dict[str, _Found]) -> bool:

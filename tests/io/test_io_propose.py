@@ -1,0 +1,141 @@
+"""The guess at other people's layouts."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from jaxest.io import propose, read, to_toml
+from jaxest.io.columns import parse
+from jaxest.io.words import classify
+from jaxest.types import InputError
+
+N = 400
+RNG = np.random.default_rng(0)
+
+
+@pytest.mark.parametrize(
+    ("name", "meaning"),
+    [
+        ("gyr", ("gyroscope", "", "", "")),
+        ("angular_velocity", ("gyroscope", "", "", "")),
+        ("field.angular_velocity.x", ("gyroscope", "", "x", "")),
+        ("GyroX", ("gyroscope", "", "x", "")),
+        ("gx", ("gyroscope", "", "x", "")),
+        ("wz", ("gyroscope", "", "z", "")),
+        ("imu0_gyr_y", ("gyroscope", "imu0", "y", "")),
+        ("imu1/acc", ("accelerometer", "imu1", "", "")),
+        ("acc_x (m/s^2)", ("accelerometer", "", "x", "m/s^2")),
+        ("acc_g", ("accelerometer", "", "", "g")),
+        ("gyro_dps", ("gyroscope", "", "", "deg/s")),
+        ("mag x [uT]", ("magnetometer", "", "x", "uT")),
+        ("qw", ("orientation", "", "w", "")),
+        ("q3", ("joint_position", "", "3", "")),
+        ("joint_3_position", ("joint_position", "", "3", "")),
+        ("dq_cmd", ("joint_velocity", "cmd", "", "")),
+        ("target_positions", ("joint_position", "target", "", "")),
+        ("timestamp_ns", ("time", "", "", "ns")),
+        ("time_cmd", ("time", "cmd", "", "")),
+        ("sampling_rate", ("rate", "", "", "")),
+        ("a", ("", "a", "", "")),
+        ("movement", ("", "movement", "", "")),
+    ],
+)
+def test_names(name, meaning):
+    assert classify(name) == meaning
+
+
+def save(tmp_path, **arrays):
+    np.savez(tmp_path / "log.npz", **arrays)
+    return tmp_path / "log.npz"
+
+
+def swinging(turns=3.0):
+    """An IMU that rolls about x under gravity: stamps (s), gyroscope (rad/s), accelerometer (m/s2), quaternions."""
+    time = np.arange(2000) / 100
+    angle = turns * np.sin(2 * np.pi * 0.3 * time)
+    rate = np.gradient(angle, time)
+    gyr = np.stack([rate, 0 * rate, 0 * rate], 1)
+    acc = 9.81 * np.stack([0 * angle, np.sin(angle), np.cos(angle)], 1)
+    quat = np.stack([np.cos(angle / 2), np.sin(angle / 2), 0 * angle, 0 * angle], 1)
+    return time, gyr, acc, quat
+
+
+def test_units_that_the_data_settle_are_applied_and_noted(tmp_path):
+    time, gyr, acc, quat = swinging()
+    field = np.tile([0.2, 0, -0.4], (len(time), 1))
+    path = save(
+        tmp_path, t=time * 1e6 + 1.7e15, gyro=np.rad2deg(gyr), acc=acc / 9.80665, mag=field, quat=quat[:, [1, 2, 3, 0]],
+    )  # fmt: skip
+    log = read(path)
+    np.testing.assert_allclose(log.streams["gyroscope"].value, gyr)
+    np.testing.assert_allclose(log.streams["accelerometer"].value, acc)
+    np.testing.assert_allclose(log.streams["magnetometer"].value[0], [2e-5, 0, -4e-5])
+    np.testing.assert_allclose(log.streams["orientation"].value, quat)
+    np.testing.assert_allclose(log.streams["gyroscope"].time, 1.7e9 + time, atol=1e-6)
+    notes = " ".join(log.notes)
+    for word in ("deg/s", "unit g ", "unit G ", "xyzw", "'t' taken as us"):
+        assert word in notes
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ({"gyr": np.zeros((N, 3))}, ["no sampling rate", "rate = "]),
+        ({"gyr": np.zeros((N, 3)), "fs": 1.0, "rate": 2.0}, ["sampling rate could be any of fs, rate"]),
+        ({"gyr": np.zeros((N, 3)), "t": np.arange(N) * 10}, ["unit of its stamps 't' is open"]),
+        ({"gyr": np.zeros((N, 3)), "t_a": np.arange(N), "t_b": np.arange(N)}, ["stamps could be any of t_a, t_b"]),
+        ({"gyr": np.zeros((N, 3)), "gyro": np.ones((N, 3)), "fs": 1.0}, ["gyroscope", "gyr", "gyro", "could be it"]),
+        ({"acc": np.full((N, 3), 100.0), "fs": 1.0}, ["173.2", "neither m/s2 nor g"]),
+        ({"gyr": np.full((N, 3), 100.0), "fs": 1.0}, ["faster than any gyroscope"]),
+        ({"gyr": np.zeros((3, N)), "acc": np.full((N, 3), 5.7), "fs": 1.0}, ["(3, 400)", "(n, 3)"]),
+    ],
+)
+def test_what_is_open_is_asked_with_lines_to_paste(tmp_path, arrays, words):
+    path = save(tmp_path, **arrays)
+    with pytest.raises(InputError) as error:
+        read(path)
+    for word in ["log.npz", "[columns]", *words]:
+        assert word in str(error.value)
+    guess = propose(path)
+    assert guess.unsure
+    assert parse(tomllib.loads(to_toml(guess))["columns"]) == guess.table
+
+
+def test_the_pasted_lines_read_the_file(tmp_path):
+    path = save(tmp_path, gyr=np.zeros((N, 3), np.float32), fs=1.0, rate=2.0)
+    table = tomllib.loads(to_toml(propose(path)))["columns"]
+    assert read(path, table).streams["gyroscope"].value.dtype == np.float32
+
+
+def test_columns_of_a_csv_are_grouped(tmp_path):
+    head = "time_ms,imu0_gx,imu0_gy,imu0_gz,imu1_gx,imu1_gy,imu1_gz,qw,qx,qy,qz,q1,q2,temperature"
+    rows = [f"{k * 10}," + ",".join(["0.1"] * 6 + ["1", "0", "0", "0", "0.3", "0.4", "20"]) for k in range(9)]
+    (tmp_path / "log.csv").write_text("\n".join([head, *rows]))
+    log = read(tmp_path / "log.csv")
+    shapes = {name: stream.value.shape for name, stream in log.streams.items()}
+    assert shapes == {
+        "imu0/gyroscope": (9, 3), "imu1/gyroscope": (9, 3), "orientation": (9, 4), "joint_position": (9, 2),
+        "temperature": (9,),
+    }  # fmt: skip
+    np.testing.assert_array_equal(log.streams["orientation"].value[0], [1, 0, 0, 0])
+    np.testing.assert_allclose(log.streams["orientation"].time, np.arange(9) / 100)
+    assert log.streams["joint_position"].names == ("q1", "q2")
+
+
+def test_quaternions_called_q_and_four_joints_called_q(tmp_path):
+    quat = RNG.normal(size=(N, 4))
+    unit = quat / np.linalg.norm(quat, axis=1, keepdims=True)
+    assert "orientation" in read(save(tmp_path, q=unit, fs=10.0)).streams
+    assert "joint_position" in read(save(tmp_path, q=quat, fs=10.0)).streams
+
+
+def test_a_period_becomes_a_rate_and_leftovers_are_named(tmp_path):
+    log = read(save(tmp_path, gyr=np.zeros((N, 3)), dt=0.02, odd=np.zeros(7)))
+    np.testing.assert_allclose(log.streams["gyroscope"].time, np.arange(N) * 0.02)
+    assert "left out: odd" in log.notes
+
+
+def test_nothing_to_read(tmp_path):
+    with pytest.raises(InputError, match=r"nothing here looks like a stream; arrays: a \(3,\)"):
+        read(save(tmp_path, a=np.zeros(3)))
