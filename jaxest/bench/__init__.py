@@ -1,0 +1,50 @@
+"""How fast it is: timings of jaxest beside other programs, in the same run.
+
+`rows("orientation")` runs one case and yields `jaxest.io.report.Row`s; `jaxest bench NAME` prints them. A case is a
+module with a function `rows`, named in `CASES` and loaded on first use; `jaxest.bench.harness` holds what cases are
+made of (`candidate`, `race`, `compare`). A peer that is not installed costs its ratio and nothing else.
+
+Not here: accuracy, which is tested in `tests/` and measured on recordings by the scripts in `benchmarks/`.
+"""
+
+import importlib
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+from jaxest.types import unknown_name
+
+if TYPE_CHECKING:
+    from jaxest.io.report import Row
+
+CASES = {
+    "import": "jaxest.bench.import_time",
+    "kinematics": "jaxest.bench.kinematics",
+    "orientation": "jaxest.bench.orientation",
+}
+"""Name of a case, and the module that holds it."""
+
+
+def rows(
+    name: str, *, peers: bool = True, progress: Callable[[str], None] | None = None, small: bool = False
+) -> Iterable["Row"]:
+    """Run one case.
+
+    Args:
+        name: one of `CASES`.
+        peers: whether to run other programs beside it.
+        progress: hears what is being measured.
+        small: sizes that a test can afford; the figures mean nothing then.
+
+    Returns:
+        The rows, one at a time as they are measured.
+
+    Raises:
+        InputError: the name is unknown.
+    """
+    if name not in CASES:
+        raise unknown_name("benchmark", name, CASES)
+    module = importlib.import_module(CASES[name])
+    return module.rows(peers=peers, progress=progress or (lambda message: None), small=small)
+
+
+__all__ = ["CASES", "rows"]

@@ -111,7 +111,8 @@ def draw(
     mine = angles(quaternion, covariance)
     true = None if truth is None else angles(truth).value
     for index, name in enumerate(("roll", "pitch", "heading")):
-        _panel(axes[index], time, mine, true, index, name if heading or index < 2 else "heading (free)")
+        free = index == 2 and not heading  # then the estimate has an own idea of north, and the truth another
+        _panel(axes[index], time, mine, None if free else true, index, f"{name} (free)" if free else name)
     if truth is not None:
         _errors(axes[-1], time, quaternion, covariance, truth, heading)
     for axis in axes:

@@ -1,0 +1,118 @@
+"""The orientation of one IMU: a live step from Python, and thousands of filters over one recording."""
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxest.bench.harness import Candidate, Progress, Timing, candidate, compare, compile_row, find_peer, race
+from jaxest.filters import last, run
+from jaxest.io.report import Row
+from jaxest.systems import orientation
+
+RATE = 285.714  # Hz, as in the BROAD recordings
+
+
+def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Row]:
+    """Time the passive complementary filter with a magnetometer, float32, with and without its covariance.
+
+    The peer is VQF in C++: another filter for the same sensors, called by the same program on the same samples.
+
+    Args:
+        peers: whether to run the peer.
+        progress: hears what is being measured.
+        small: a few filters and samples.
+
+    Yields:
+        The time of one live step called from Python with NumPy readings and waited for; of one sample of one filter
+        when 20 recordings are each filtered with 260 settings at once; and the time to compile either.
+    """
+    vqf = find_peer("vqf") if peers else None
+    missing = "vqf" if peers and vqf is None else ""
+    yield from _live(vqf, missing, progress, small)
+    yield from _batched(vqf, missing, progress, small)
+
+
+def _live(vqf: Any, missing: str, progress: Progress, small: bool) -> Iterable[Row]:
+    progress("live step")
+    count = 5 if small else 200
+    samples = _samples(jax.random.key(0), count)
+    one = [jax.tree.map(lambda x, i=i: x[i], samples) for i in range(count)]
+    candidates = []
+    for name, covariance in (("live", False), ("live with covariance", True)):
+        system = orientation.build(covariance=covariance)
+        step = jax.jit(system.step)
+        params = jax.tree.map(np.float32, system.default_params)
+        state = system.init(params)
+        compiled = candidate(name, step, params, state, one[0])
+        loop = partial(_walk, step, params, state, one)
+        candidates.append(Candidate(name, loop, count, compiled.compile_s))
+    if vqf is not None:
+        candidates.append(Candidate("vqf", partial(_walk_vqf, vqf, samples), count))
+    timings = race(candidates, repeats=2 if small else 20)
+    peer = _named(timings.get("vqf"), "VQF in C++, update() from Python")
+    for name, condition in (("live", "one filter"), ("live with covariance", "one filter with covariance")):
+        yield compare("live step", f"{condition}, each step waited for", timings[name], peer, missing=missing)
+        yield compile_row(condition, timings[name])
+
+
+def _batched(vqf: Any, missing: str, progress: Progress, small: bool) -> Iterable[Row]:
+    trials, settings, length = (2, 3, 10) if small else (20, 260, 200)
+    progress(f"{trials} recordings x {settings} settings")
+    samples = jax.vmap(lambda key: _samples(key, length))(jax.random.split(jax.random.key(1), trials))
+    system = orientation.build()
+    gains = system.default_params._replace(
+        proportional_gain=jnp.geomspace(0.05, 5.0, settings, dtype=jnp.float32),
+        integral_gain=jnp.geomspace(1e-5, 1e-1, settings, dtype=jnp.float32),
+        lambda_acc=jnp.ones(settings, jnp.float32),
+        lambda_mag=jnp.ones(settings, jnp.float32),
+    )
+
+    def final(params: Any, measurements: Any) -> Any:
+        return run(system.step, params, system.init(params), measurements, history=last)[0].quaternion
+
+    every = jax.jit(jax.vmap(jax.vmap(final, in_axes=(0, None)), in_axes=(None, 0)))
+    pieces = trials * settings * length
+    candidates = [candidate("batched", every, gains, samples, items=pieces)]
+    if vqf is not None:
+        long = jax.tree.map(lambda x: np.asarray(x, np.float64).reshape(trials * length, *x.shape[2:]), samples)
+        candidates.append(Candidate("vqf", partial(_batch_vqf, vqf, long), trials * length))
+    timings = race(candidates, repeats=2 if small else 10)
+    condition = f"{trials} recordings x {settings} settings at once, per sample and filter"
+    peer = _named(timings.get("vqf"), "VQF in C++, updateBatch()")
+    yield compare("batched step", condition, timings["batched"], peer, unit="ns", missing=missing)
+    yield compile_row(f"{trials} x {settings}, {length} samples", timings["batched"])
+
+
+def _samples(key: jax.Array, count: int) -> Any:
+    params = jax.tree.map(np.float32, orientation.build().default_params)
+    measurements, _ = orientation.simulate(params, key=key, steps=count, rate_hz=RATE)
+    return jax.tree.map(np.asarray, measurements) if not isinstance(key, jax.core.Tracer) else measurements
+
+
+def _walk(step: Any, params: Any, state: Any, measurements: list[Any]) -> Any:
+    for measurement in measurements:
+        state, _ = step(params, state, measurement)
+        jax.block_until_ready(state)
+    return state
+
+
+def _walk_vqf(vqf: Any, samples: Any) -> Any:
+    filter_ = vqf.VQF(1 / RATE)
+    readings = (np.ascontiguousarray(np.asarray(sensor.value, np.float64)) for sensor in samples[:3])
+    for gyr, acc, mag in zip(*readings, strict=True):
+        filter_.update(gyr, acc, mag)
+        filter_.getQuat9D()
+    return None
+
+
+def _batch_vqf(vqf: Any, samples: Any) -> Any:
+    readings = (np.ascontiguousarray(sensor.value) for sensor in samples[:3])
+    return vqf.VQF(1 / RATE).updateBatch(*readings)
+
+
+def _named(timing: Timing | None, name: str) -> Timing | None:
+    return None if timing is None else timing._replace(name=name)

@@ -1,0 +1,5 @@
+"""`python -m jaxest.cli` is `jaxest`."""
+
+from jaxest.cli import main
+
+main()

@@ -1,0 +1,48 @@
+"""`jaxest bench`: how fast it is on this machine, beside other programs."""
+
+from typing import Annotated
+
+import typer
+
+from jaxest.cli.output import Answer, Json, Verbose, command, console, working
+
+NAME = "bench"
+EXAMPLES = "Examples:  [bold]jaxest bench orientation[/]   |   [bold]jaxest bench --no-peers --json > here.json[/]"
+
+
+@command
+def run(
+    name: Annotated[
+        str | None, typer.Argument(help="Case to run; all of them if left out.", show_default=False)
+    ] = None,
+    peers: Annotated[
+        bool, typer.Option("--peers/--no-peers", help="Run other programs beside it, if installed.")
+    ] = True,
+    small: Annotated[
+        bool, typer.Option("--small", help="Tiny sizes, to see that it runs; the figures mean nothing.")
+    ] = False,
+    show: Annotated[bool, typer.Option("--list", help="Name the cases and leave.")] = False,
+    json: Json = False,
+    verbose: Verbose = False,
+) -> Answer:
+    """Time jaxest on this machine: medians of warm, blocked runs, peers in turn with them, compile time apart.
+
+    The spread is the interquartile range. A ratio is the median of the rounds' ratios to the peer.
+    """
+    del verbose
+    from jaxest import bench
+    from jaxest.cli.tables import figures
+    from jaxest.io.report import report, to_json
+
+    out = console()
+    if show:
+        out.print("\n".join(bench.CASES))
+        return Answer()
+    found = []
+    for case in [name] if name else bench.CASES:
+        with working(f"{case} ...") as say:
+            rows = list(bench.rows(case, peers=peers, progress=say, small=small))
+        if not json:
+            out.print(figures(rows, case, timing=True))
+        found += rows
+    return Answer(to_json(report("bench", found))) if json else Answer()

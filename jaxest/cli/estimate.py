@@ -1,0 +1,107 @@
+"""`jaxest estimate`: from a log to an estimate, a report and a picture."""
+
+import importlib.util
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from jaxest.cli.output import (
+    DONE,
+    REJECTED,
+    Answer,
+    Force,
+    Json,
+    Verbose,
+    bad_input,
+    command,
+    console,
+    note,
+    warn,
+    working,
+)
+
+NAME = "estimate"
+EXAMPLES = (
+    "Examples:  [bold]jaxest estimate trial.npz --method orientation -o out[/]   |   "
+    "[bold]jaxest estimate log.csv -m orientation -c config.toml --start 10 --end 60 --force[/]   |   "
+    "[bold]jaxest estimate trial.npz -m orientation --sensors gyroscope,accelerometer[/]"
+)
+
+
+@command
+def run(
+    log: Annotated[Path, typer.Argument(help="Log to read: NPZ or CSV, in jaxest's layout or anybody's.")],
+    method: Annotated[str, typer.Option("--method", "-m", help="What to estimate: orientation.")],
+    robot: Annotated[
+        Path | None, typer.Option("--robot", "-r", help="Robot (MJCF, URDF), for methods that need one.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="TOML with \\[columns] and the method's settings.")
+    ] = None,
+    sensors: Annotated[str | None, typer.Option(help="Kinds of stream to use, separated by commas.")] = None,
+    start: Annotated[float | None, typer.Option(help="Leave out what is earlier, s from the first sample.")] = None,
+    end: Annotated[float | None, typer.Option(help="Leave out what is later, s from the first sample.")] = None,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for estimate.npz, report.json and a picture.")
+    ] = Path("jaxest-out"),
+    force: Force = False,
+    json: Json = False,
+    verbose: Verbose = False,
+) -> Answer:
+    """Estimate from a log, and write the estimate with its covariance, a report and a picture into a folder.
+
+    If the log carries its own truth (a stream `orientation`), the errors to it are printed as well.
+    """
+    del verbose
+    from jaxest.cli import methods, settings
+    from jaxest.cli.tables import figures
+    from jaxest.cli.window import windowed
+    from jaxest.io import read, write
+    from jaxest.io.report import Row, report, to_json
+
+    if method not in methods.METHODS:
+        raise methods.unknown_name("method", method, methods.METHODS)
+    targets = _targets(out, method, force)
+    chosen = settings.load(config)
+    whole = read(log, chosen.columns)
+    if whole.notes:
+        note(f"{log.name}: {'; '.join(whole.notes)}")
+    kinds = tuple(part.strip() for part in sensors.split(",") if part.strip()) if sensors else None
+    request = methods.Request(chosen.method(method), kinds, chosen.nan, robot)
+    begun = time.perf_counter()
+    with working(f"estimating the {method} ..."):
+        outcome = methods.estimate(method, windowed(whole, start, end), request)
+    took = time.perf_counter() - begun
+    rows = [*outcome.rows, Row("run time", "compilation included", took, "s")]
+    text = to_json(report(method, rows))
+    out.mkdir(parents=True, exist_ok=True)
+    write(outcome.estimate, targets[0], overwrite=force)
+    targets[1].write_text(text + "\n")
+    if len(targets) > 2 and outcome.draw:
+        outcome.draw(targets[2], f"{log.stem}: {method}")
+    for line in outcome.refused:
+        warn(f"do not use this estimate: {line}")
+    status = REJECTED if outcome.refused else DONE
+    if json:
+        return Answer(text, status)
+    page = console()
+    page.print(figures(rows[len(methods.SIZE) :], f"{log.stem}: {method}, {methods.size(rows)}"))
+    note("; ".join(outcome.notes))
+    page.print(f"wrote {', '.join(str(target) for target in targets)}", soft_wrap=True)
+    if len(targets) < 3:
+        note("no picture: pip install 'jaxest[viz]'")
+    return Answer(status=status)
+
+
+def _targets(out: Path, method: str, force: bool) -> list[Path]:
+    """The files to write, checked before anything is computed."""
+    names = ["estimate.npz", "report.json"]
+    names += [f"{method}.png"] if importlib.util.find_spec("matplotlib") else []
+    if out.exists() and not out.is_dir():
+        raise bad_input(f"{out}: is a file, expected a folder to write into")
+    there = [name for name in names if (out / name).exists()]
+    if there and not force:
+        raise bad_input(f"{out}: {', '.join(there)} exists already and is kept; pass --force to replace it")
+    return [out / name for name in names]

@@ -1,0 +1,119 @@
+"""`jaxest inspect`: what is in a file, robot or log."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from jaxest.cli.output import Answer, Json, Verbose, bad_input, command, console, json_object, note
+
+if TYPE_CHECKING:
+    from jaxest.io import Proposal
+
+NAME = "inspect"
+EXAMPLES = (
+    "Examples:  [bold]jaxest inspect panda.xml[/]   |   [bold]jaxest inspect trial.npz[/]   |   "
+    "[bold]jaxest inspect log.csv --config config.toml --json[/]"
+)
+ROBOTS = (".xml", ".mjcf", ".urdf")
+LOGS = (".npz", ".csv")
+
+
+@command
+def run(
+    file: Annotated[Path, typer.Argument(help="A robot (MJCF or URDF) or a log (NPZ or CSV).")],
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="Config whose \\[columns] the log is read by.")
+    ] = None,
+    json: Json = False,
+    verbose: Verbose = False,
+) -> Answer:
+    """Show a robot's tree, joints, frames and limits, or a log's streams, rates, gaps, clocks and doubtful units.
+
+    For a log in somebody else's layout, the lines of a config that read it are printed too.
+    """
+    del verbose
+    return _robot(file, json) if is_robot(file) else _log(file, config, json)
+
+
+def is_robot(file: Path) -> bool:
+    """Guess whether a file is a robot rather than a log, by its suffix, else by how it begins.
+
+    Args:
+        file: the file.
+
+    Returns:
+        The guess.
+
+    Raises:
+        InputError: no such file, or it is neither.
+    """
+    from jaxest.io.files import existing
+
+    existing(file)
+    suffix = file.suffix.lower()
+    if suffix in (*ROBOTS, *LOGS):
+        return suffix in ROBOTS
+    with file.open("rb") as opened:
+        if opened.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+            return True
+    raise bad_input(f"{file}: neither a robot ({', '.join(ROBOTS)}) nor a log ({', '.join(LOGS)})")
+
+
+def _robot(file: Path, json: bool) -> Answer:
+    from jaxest.cli import robot_view
+    from jaxest.io.report import Row, report
+    from jaxest.kinematics import load
+
+    robot = load(file)
+    facts = robot_view.describe(robot)
+    if not json:
+        robot_view.show(facts, robot_view.sites_of(robot), console())
+        return Answer()
+    figures = (("nq", robot.nq, "1"), ("nv", robot.nv, "1"), ("mass", facts["mass_kg"], "kg"),
+               ("bodies", len(facts["bodies"]), "1"), ("joints", len(facts["joints"]), "1"),
+               ("frames", len(facts["frames"]), "1"))  # fmt: skip
+    rows = [Row(metric, facts["name"], float(value), unit) for metric, value, unit in figures]
+    return Answer(json_object(report(NAME, rows), robot=facts))
+
+
+def _log(file: Path, config: Path | None, json: bool) -> Answer:
+    from jaxest.cli import log_view, settings
+    from jaxest.io import read, to_toml
+    from jaxest.io.inspect import summarize
+    from jaxest.io.report import report
+
+    columns = settings.load(config).columns
+    proposal = None if columns else _proposal(file)
+    text = to_toml(proposal) if proposal else ""
+    out = console()
+    if proposal and proposal.unsure:
+        if json:
+            return Answer(json_object(report(NAME, []), config=text, open=list(proposal.unsure)))
+        out.print(f"[yellow]{file}: its names leave something open; put the right lines into a config:[/]\n")
+        log_view.show_config(text, out)
+        return Answer()
+    log = read(file, columns)
+    summary = summarize(log)
+    if json:
+        found = report(NAME, log_view.rows(summary))
+        return Answer(json_object(found, config=text, notes=list(log.notes), **log_view.plain(summary)))
+    log_view.show(summary, str(file), out)
+    if proposal:
+        out.print("\nread by this guess, to be pasted into a config and corrected:\n")
+        log_view.show_config(text, out)
+    else:
+        for line in log.notes:
+            note(line)
+    return Answer()
+
+
+def _proposal(file: Path) -> "Proposal | None":
+    """The guess at somebody else's layout; None for our own, and for what `read` will refuse."""
+    from jaxest.io import propose
+    from jaxest.types import InputError
+
+    try:
+        return propose(file)
+    except InputError:
+        return None

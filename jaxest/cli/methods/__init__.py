@@ -1,0 +1,76 @@
+"""The methods of `jaxest estimate`, one file each: which streams they need, and how a log becomes an estimate.
+
+A method is a module with `estimate(log, request) -> Outcome`, named in `METHODS` and loaded when it is asked for.
+"""
+
+import importlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxest.io import SensorLog
+from jaxest.io.report import Row
+from jaxest.types import unknown_name
+
+METHODS = {"orientation": "jaxest.cli.methods.orientation"}
+"""Name of a method, and the module that holds it."""
+
+
+SIZE = ("samples", "duration")
+"""Metrics of the first two rows of every outcome."""
+
+
+class Request(NamedTuple):
+    """What a person asks of a method, beside the log."""
+
+    settings: Mapping[str, Any] = {}
+    """the config's table of the method's name"""
+    sensors: tuple[str, ...] | None = None
+    """kinds of stream to use; None leaves the choice to the config, then to the log"""
+    nan: str = "error"
+    """`error`, or `missing` where values that are not finite count as missing samples"""
+    robot: Path | None = None
+    """file of the robot, for methods that need one"""
+
+
+class Outcome(NamedTuple):
+    """What a method makes of a log."""
+
+    estimate: SensorLog
+    """streams to be written"""
+    rows: list[Row]
+    """figures to print and to report, the first two those of `SIZE`"""
+    notes: list[str]
+    """what was chosen, one sentence each"""
+    refused: list[str]
+    """why the result must not be used; empty where it may"""
+    draw: Callable[[Path, str], None] | None
+    """writes a picture with a title, if there is one to draw"""
+
+
+def estimate(method: str, log: SensorLog, request: Request) -> Outcome:
+    """Run a method on a log.
+
+    Args:
+        method: one of `METHODS`.
+        log: the log, windowed already.
+        request: settings.
+
+    Returns:
+        The outcome.
+
+    Raises:
+        InputError: an unknown method, or a log that the method cannot use.
+    """
+    if method not in METHODS:
+        raise unknown_name("method", method, METHODS)
+    return importlib.import_module(METHODS[method]).estimate(log, request)
+
+
+def size(rows: list[Row]) -> str:
+    """Say how long the log was, from the first rows of an outcome."""
+    samples, duration = (row.value or 0.0 for row in rows[: len(SIZE)])
+    return f"{samples:.0f} samples in {duration:.1f} s"
+
+
+__all__ = ["METHODS", "SIZE", "Outcome", "Request", "estimate", "size"]

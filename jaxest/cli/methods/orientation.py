@@ -1,0 +1,212 @@
+"""`--method orientation`: one IMU, with or without a magnetometer, by the passive complementary filter."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxest.cli import orientation_errors
+from jaxest.cli.methods import SIZE, Outcome, Request
+from jaxest.io import SensorLog, Stream, ticks, to_si
+from jaxest.io.log import stream, where
+from jaxest.io.report import Row
+from jaxest.types import InputError, Reading, unknown_name
+
+KINDS = ("gyroscope", "accelerometer", "magnetometer")
+UPDATES = ("exponential", "projection")
+HOLD = 1.5  # median intervals of the gyroscope for which its last reading stands in at a tick of another sensor
+MISSING = 0.1  # share of steps without a rate above which the result must not be used
+
+
+class Choice(NamedTuple):
+    """Which streams are used, and by which parameters."""
+
+    prefix: str
+    """`imu0/` in a log of several IMUs"""
+    kinds: tuple[str, ...]
+    params: Any
+    update: str
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the streams."""
+        return tuple(self.prefix + kind for kind in self.kinds)
+
+
+def estimate(log: SensorLog, request: Request) -> Outcome:
+    """Estimate the orientation of one IMU.
+
+    Args:
+        log: a log with a gyroscope and an accelerometer, and perhaps a magnetometer.
+        request: settings: `imu`, `sensors`, `proportional_gain`, `integral_gain`, `lambda_acc`, `lambda_mag`, `update`,
+            and a table `noise`.
+
+    Returns:
+        Streams `orientation`, `orientation_covariance` and `gyroscope_bias`, a row for each sample of the gyroscope
+        and each sample of another sensor that does not coincide with one; NaN before the first samples have settled
+        the orientation. Errors, if the log carries its own truth.
+
+    Raises:
+        InputError: a stream is missing or holds NaN, a setting is unknown.
+    """
+    log = to_si(log)
+    choice = choose(log, request)
+    steps = _steps(log, choice, request.nan)
+    info = _run(choice, steps)
+    valid = np.asarray(info.valid)
+    settled = [np.where(valid.reshape(-1, *(1,) * (a.ndim - 1)), a, np.nan) for a in
+               (np.asarray(x) for x in (info.quaternion, info.covariance, info.bias))]  # fmt: skip
+    heading = "magnetometer" in choice.kinds
+    extra = {"sensors": list(choice.names), "heading": "magnetic north" if heading else "free", "order": "wxyz"}
+    tangent = {"tangent": "rotation in the sensor: truth = orientation * exp(theta)"}
+    written = SensorLog(
+        {
+            "orientation": Stream(steps.time, settled[0], "1", "earth", extra=extra),
+            "orientation_covariance": Stream(steps.time, settled[1], "rad2", "sensor", extra=tangent),
+            "gyroscope_bias": Stream(steps.time, settled[2], "rad/s", "sensor"),
+        },
+        log.source,
+    )
+    truth, movement = _truth(log, choice, steps.time)
+    rows = [Row(SIZE[0], "", float(len(steps.time)), "1"),
+            Row(SIZE[1], "", float(steps.time[-1] - steps.time[0]), "s")]  # fmt: skip
+    notes = [f"used {', '.join(choice.names)}" + ("" if heading else "; no magnetometer, so the heading is free")]
+    if truth is not None:
+        condition = f"to {choice.prefix}orientation in the log" + (", moving" if movement is not None else "")
+        rows += orientation_errors.rows(
+            settled[0], truth, covariance=settled[1], movement=movement, heading=heading, condition=condition,
+            place=f"{where(log)}stream {choice.prefix + 'orientation'!r}",
+        )  # fmt: skip
+
+    def draw(path: Any, title: str) -> None:
+        from jaxest.viz import orientation
+
+        orientation.draw(path, steps.time, settled[0], settled[1], truth=truth, movement=movement, heading=heading,
+                         title=title)  # fmt: skip
+
+    return Outcome(written, rows, notes, _refused(info, steps), draw)
+
+
+def schema() -> dict[str, Any]:
+    """Return what may be in the config's table `[orientation]`, as `jaxest.io.config` takes it."""
+    from jaxest.filters.complementary import Params
+    from jaxest.filters.complementary_covariance import Noise
+
+    gains, noise = dict.fromkeys(Params._fields, float), dict.fromkeys(Noise._fields, float)
+    return {"imu": str, "sensors": list, "update": str, **gains, "noise": noise}
+
+
+def choose(log: SensorLog, request: Request) -> Choice:
+    """Settle which streams to use, from the command line, the config and the log, in this order.
+
+    Args:
+        log: the log.
+        request: settings.
+
+    Returns:
+        The choice.
+
+    Raises:
+        InputError: a setting or sensor is unknown, a stream is missing (the closest name is given), or there are
+            several IMUs and none is named.
+    """
+    from jaxest.filters.complementary import Params
+    from jaxest.filters.complementary_covariance import Noise
+    from jaxest.filters.complementary_covariance import Params as WithNoise
+
+    settings = request.settings
+    imu = settings.get("imu", _only_imu(log))
+    prefix = f"{imu}/" if imu else ""
+    asked = request.sensors or tuple(settings.get("sensors", ()))
+    for kind in asked:
+        if kind not in KINDS:
+            raise unknown_name("sensor", kind, KINDS)
+    kinds = tuple(kind for kind in KINDS if kind in asked) if asked else KINDS[:2]
+    if not asked and f"{prefix}magnetometer" in log.streams:
+        kinds = KINDS
+    if kinds[:2] != KINDS[:2]:
+        raise InputError(f"sensors: got {', '.join(asked)}; the orientation needs gyroscope and accelerometer")
+    for kind in kinds:
+        stream(log, prefix + kind)
+    update = settings.get("update", UPDATES[0])
+    if update not in UPDATES:
+        raise unknown_name("update", update, UPDATES)
+    gains = _numbers(settings, Params._fields, "[orientation]")
+    noise = _numbers(settings.get("noise", {}), Noise._fields, "[orientation.noise]")
+    params = WithNoise(Params(**gains), Noise(**noise))
+    return Choice(prefix, kinds, params, update)
+
+
+def _only_imu(log: SensorLog) -> str:
+    """The prefix of the one IMU of the log; nothing where its streams have none."""
+    found = [name.removesuffix("/gyroscope") for name in log.streams if name.endswith("/gyroscope")]
+    if "gyroscope" in log.streams or not found:
+        return ""
+    if len(found) > 1:
+        lines = "\n".join(f'imu = "{name}"' for name in found)
+        raise InputError(f"{where(log)}there are several IMUs; put one of these into a config:\n[orientation]\n{lines}")
+    return found[0]
+
+
+def _numbers(settings: Mapping[str, Any], fields: tuple[str, ...], place: str) -> dict[str, float]:
+    for key in set(fields) & set(settings):
+        if not 0 <= settings[key] < np.inf:
+            raise InputError(f"{place} {key}: got {settings[key]}, expected a number, 0 or more")
+    return {key: float(settings[key]) for key in fields if key in settings}
+
+
+def _steps(log: SensorLog, choice: Choice, nan: str) -> Any:
+    """Merge the streams; the gyroscope's last reading stands in at ticks that only another sensor has."""
+    gyro = stream(log, choice.names[0])
+    interval = float(np.median(np.diff(gyro.time))) if len(gyro.time) > 1 else 0.0
+    steps = ticks(log, choice.names, tolerance=interval / 2, dtype=np.float32,
+                  nan="invalid" if nan == "missing" else "error")  # fmt: skip
+    value, valid = steps.readings[choice.names[0]]
+    last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
+    near = (last >= 0) & (steps.time - steps.time[last] <= HOLD * interval)
+    held: Any = np.where(near[:, None], value[last], value), near
+    return steps._replace(readings={**steps.readings, choice.names[0]: Reading(*held)})
+
+
+def _run(choice: Choice, steps: Any) -> Any:
+    import jax
+
+    from jaxest.filters import run
+    from jaxest.filters.complementary import Imu, exponential, projection
+    from jaxest.systems import orientation
+
+    update = {"exponential": exponential, "projection": projection}[choice.update]
+    system = orientation.build(sensors=choice.kinds, update=update, covariance=True)
+    gyr, acc, mag = (steps.readings.get(choice.prefix + kind) for kind in KINDS)
+    measurements = Imu(gyr, acc, mag, steps.dt)
+    params = jax.tree.map(np.float32, choice.params)
+    _, info = run(system.step, params, system.init(params), measurements)
+    return info
+
+
+def _truth(
+    log: SensorLog, choice: Choice, time: NDArray[np.float64]
+) -> tuple[NDArray[np.float64] | None, NDArray[np.bool_] | None]:
+    """The log's own orientation and movement at the estimate's times, if it has them."""
+    from jaxest.cli.truth import at
+
+    name, moving = choice.prefix + "orientation", choice.prefix + "movement"
+    if name not in log.streams:
+        return None, None
+    return at(log, name, log.streams.get(moving, log.streams.get("movement")), time)
+
+
+def _refused(info: Any, steps: Any) -> list[str]:
+    reasons = []
+    valid = np.asarray(info.valid)
+    if not valid[-1]:
+        reasons.append("the orientation was never settled: no usable accelerometer (or magnetometer) sample")
+    if not np.isfinite(np.asarray(info.quaternion)).all() or not np.isfinite(np.asarray(info.covariance)).all():
+        reasons.append("the estimate is not finite")
+    gyro = next(iter(steps.readings.values())).valid
+    if np.mean(~gyro) > MISSING:
+        reasons.append(
+            f"{100 * np.mean(~gyro):.0f} % of the steps have no angular rate, more than {100 * MISSING:.0f} %"
+        )
+    return reasons

@@ -1,0 +1,147 @@
+"""What commands write: tables for people, one JSON object for programs, one line for an error.
+
+Consoles are made when they are used, so that a redirected stream is honoured; colours and progress bars appear on a
+terminal only.
+"""
+
+import contextlib
+import functools
+import json
+import math
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from typing import Annotated, Any, NamedTuple, TextIO
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+DONE, BAD_INPUT, REJECTED = 0, 2, 3
+PIPE_WIDTH = 140  # columns of a table that goes to a file or a pipe
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output, nothing else there.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Show where an error in the input was noticed.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+
+
+class Answer(NamedTuple):
+    """How a command ended."""
+
+    json: str = ""
+    """the object for standard output; empty where a table was printed"""
+    status: int = DONE
+    """`DONE`, or `REJECTED` where the run finished and its result must not be used"""
+
+
+def console(stream: TextIO | None = None) -> Console:
+    """Make a console on a stream, standard output unless said."""
+    stream = stream or sys.stdout
+    return Console(file=stream, highlight=False, width=None if stream.isatty() else PIPE_WIDTH)
+
+
+def note(text: str) -> None:
+    """Print a dim line on standard error."""
+    console(sys.stderr).print(f"[dim]{escape(text)}[/]", soft_wrap=True)
+
+
+def warn(text: str) -> None:
+    """Print a warning on standard error."""
+    console(sys.stderr).print(f"[yellow]warning:[/] {escape(text)}", soft_wrap=True)
+
+
+def command(body: Callable[..., Answer]) -> Callable[..., None]:
+    """Make a function a command: bad input ends in one line and status 2, `--json` keeps standard output to itself.
+
+    Args:
+        body: the command; `verbose` and `json` among its options are looked at here.
+
+    Returns:
+        The function to register. InputError and OSError are bad input; everything else is a bug and keeps its
+        traceback.
+    """
+
+    @functools.wraps(body)
+    def guarded(*args: Any, **options: Any) -> None:
+        quiet = contextlib.redirect_stdout(sys.stderr) if options.get("json") else contextlib.nullcontext()
+        try:
+            with quiet:  # some libraries print while they are imported
+                answer = body(*args, **options)
+            if answer.json:
+                sys.stdout.write(answer.json + "\n")
+            sys.stdout.flush()
+        except BrokenPipeError:  # the reader has seen enough, as `head` does
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            raise typer.Exit(DONE) from None
+        except Exception as error:
+            if not _is_bad_input(error):
+                raise
+            if options.get("verbose") or os.environ.get("JAXEST_DEBUG"):
+                traceback.print_exc()
+            console(sys.stderr).print(f"[bold red]error:[/] {escape(_plain(error))}", soft_wrap=True)
+            raise typer.Exit(BAD_INPUT) from None
+        if answer.status:
+            raise typer.Exit(answer.status)
+
+    return guarded
+
+
+def json_object(report: Any, **more: Any) -> str:
+    """Write a report with further fields as one JSON object.
+
+    Args:
+        report: a `jaxest.io.report.Report`.
+        more: fields of plain Python data; numbers that are not finite become null.
+
+    Returns:
+        Valid JSON.
+    """
+    from jaxest.io.report import to_json
+
+    return json.dumps({**json.loads(to_json(report)), **_finite(more)}, indent=2, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@contextlib.contextmanager
+def working(what: str) -> Iterator[Callable[[str], None]]:
+    """Show a spinner on standard error, on a terminal, while something of unknown length runs.
+
+    Args:
+        what: shown beside it.
+
+    Yields:
+        A function that changes what is shown.
+    """
+    err = console(sys.stderr)
+    if not err.is_terminal:
+        yield lambda message: None
+        return
+    with err.status(escape(what)) as status:
+        yield lambda message: status.update(escape(message))
+
+
+def bad_input(message: str) -> Exception:
+    """Make the error for bad input; `jaxest.types` and with it JAX are loaded for it only now."""
+    from jaxest.types import InputError
+
+    return InputError(message)
+
+
+def _is_bad_input(error: Exception) -> bool:
+    from jaxest.types import InputError
+
+    return isinstance(error, InputError | OSError)
+
+
+def _plain(error: Exception) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    return str(error)

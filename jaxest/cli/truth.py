@@ -1,0 +1,74 @@
+"""A truth at an estimate's times."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxest.io import SensorLog, Stream, interpolate
+from jaxest.io.log import stream, where
+from jaxest.types import InputError
+
+GAP = 5.0  # median intervals of the truth; nothing is made up across a longer gap
+
+
+def at(
+    log: SensorLog, name: str, movement: Stream | None, time: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_] | None]:
+    """Bring a true orientation to the times of an estimate.
+
+    Args:
+        log: the log that holds it.
+        name: its stream.
+        movement: () bool stream of the samples that count, if there is one.
+        time: (T,) s.
+
+    Returns:
+        (T, 4) quaternions, as they are where the stamps coincide and interpolated elsewhere, NaN where the truth is
+        unknown or more than a gap away; and (T,) bool, or None without `movement`.
+
+    Raises:
+        InputError: no such stream, or it holds none of the times.
+    """
+    item = stream(log, name)
+    if item.time[-1] < time[0] or item.time[0] > time[-1]:
+        raise InputError(
+            f"{where(log)}stream {name!r} covers {item.time[0]:.3f} to {item.time[-1]:.3f} s, the estimate "
+            f"{time[0]:.3f} to {time[-1]:.3f} s; expected times in common"
+        )
+    streams = {"orientation": item} | ({} if movement is None else {"movement": movement._replace(unit="1")})
+    gap = GAP * float(np.median(np.diff(item.time))) if len(item.time) > 1 else 0.0
+    found = interpolate(SensorLog(streams, log.source), None, time, max_gap=gap, nan="invalid").readings
+    value, valid = found["orientation"]
+    truth = np.where(np.asarray(valid)[:, None], np.asarray(value, np.float64), np.nan)
+    return truth, _flags(found.get("movement"))
+
+
+def _flags(reading: Any) -> NDArray[np.bool_] | None:
+    return None if reading is None else (np.asarray(reading.value) != 0) & np.asarray(reading.valid)
+
+
+def find(log: SensorLog, name: str) -> str:
+    """Find the orientation of a log.
+
+    Args:
+        log: the log.
+        name: the stream that was asked for; empty for the only one there is.
+
+    Returns:
+        The stream's name.
+
+    Raises:
+        InputError: there is none or there are several, which are named.
+    """
+    if name:
+        stream(log, name)
+        return name
+    found = [key for key, item in log.streams.items() if key.rsplit("/", 1)[-1] == "orientation"]
+    if len(found) == 1:
+        return found[0]
+    if "orientation" in found:
+        return "orientation"
+    if not found:
+        stream(log, "orientation")
+    raise InputError(f"{where(log)}there are several orientations: {', '.join(found)}; name one with --stream")
