@@ -21,7 +21,7 @@ from jaxest.io.formats import propose, read, write
 from jaxest.io.inspect import Summary, summarize
 from jaxest.io.log import SensorLog, Stream, check, stream, to_si
 from jaxest.io.proposal import Proposal, to_toml
-from jaxest.io.report import Environment, Report, Row, environment, report, to_json
+from jaxest.io.report import Environment, Report, Row, environment, to_json
 
 __all__ = [
     "Column",
@@ -41,7 +41,6 @@ __all__ = [
     "propose",
     "read",
     "read_config",
-    "report",
     "save_state",
     "stream",
     "summarize",

@@ -1,5 +1,6 @@
 """What a log holds and what looks wrong about it: rates, gaps, NaN, stuck channels, clocks, units."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ RUN = 5
 DRIFT = 1e-4
 """Clocks whose rates differ by more than this drift apart: 0.1 s in 17 minutes."""
 _UNIT_LENGTH, _MANY = 0.02, 20
-_ARRIVAL = 0.3  # of the rms step
+_ARRIVAL, _QUANTA = 0.3, 2.5  # of the rms step, of the smallest step
 
 
 class Gaps(NamedTuple):
@@ -111,7 +112,7 @@ def _describe(name: str, item: Stream) -> StreamSummary:
     worst = int(long[np.argmax(steps[long])]) if len(long) else -1
     gaps = Gaps(len(long), float(steps[worst]), float(item.time[worst])) if len(long) else Gaps(0, 0.0, float("nan"))
     finite = finite_rows(item.value)
-    flat = item.value[finite].reshape(int(finite.sum()), -1)
+    flat = item.value[finite].reshape(int(finite.sum()), math.prod(item.value.shape[1:]))
     constant = tuple(int(i) for i in np.flatnonzero(np.ptp(_plain(flat), axis=0) == 0)) if len(flat) > 1 else ()
     stuck = flat.dtype != bool and units.kind_of(name) != "orientation"
     saturated = tuple(i for i in range(flat.shape[1]) if i not in constant and _saturated(flat[:, i])) if stuck else ()
@@ -135,13 +136,14 @@ def _saturated(values: NDArray[Any]) -> bool:
     if len(values) < _MANY or len(np.unique(values[:: max(1, len(values) // 1000)])) < _MANY:
         return False
     values = values.astype(np.float64)
-    speed = float(np.sqrt(np.mean(np.diff(values) ** 2)))
+    steps = np.abs(np.diff(values))
+    fast = max(_ARRIVAL * float(np.sqrt(np.mean(steps**2))), _QUANTA * float(np.min(steps[steps > 0])))
     for extreme in (values.max(), values.min()):
         at = values == extreme
         edges = np.diff(np.concatenate([[0], at.astype(np.int8), [0]]))
         first, after = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
         arrival = np.abs(values[first] - values[np.maximum(first - 1, 0)])
-        if ((after - first >= RUN) & (arrival > _ARRIVAL * speed)).any():
+        if ((after - first >= RUN) & (arrival > fast)).any():
             return True
     return False
 

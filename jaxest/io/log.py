@@ -147,7 +147,7 @@ def finite_rows(value: NDArray[Any]) -> NDArray[np.bool_]:
     """
     if value.dtype.kind != "f":
         return np.ones(len(value), bool)
-    return np.isfinite(value).reshape(len(value), -1).all(axis=1)
+    return np.isfinite(value).all(axis=tuple(range(1, value.ndim)))
 
 
 def refuse_nan(item: Stream, place: str) -> None:

@@ -19,11 +19,13 @@ DTYPES = ["float64", "float32", "float16", "int64", "int32", "uint8", "uint64", 
 
 
 def same(a: SensorLog, b: SensorLog) -> bool:
-    def parts(s):
-        return s.time.tobytes(), s.value.tobytes(), s.value.dtype, s.value.shape, *s[2:]
+    """Bit for bit, dtypes and metadata included."""
 
-    left, right = ([(name, parts(item)) for name, item in log.streams.items()] for log in (a, b))
-    return left == right
+    def described(log):
+        return {n: (s.time.tobytes(), s.value.tobytes(), str(s.value.dtype), np.shape(s.value), *s[2:])
+                for n, s in log.streams.items()}  # fmt: skip
+
+    return described(a) == described(b) and list(a.streams) == list(b.streams)
 
 
 def example() -> SensorLog:
@@ -54,7 +56,7 @@ def logs(draw):
         shape = (n, *draw(st.sampled_from([(), (1,), (3,), (2, 2)])))
         count = int(np.prod(shape)) * dtype.itemsize
         raw = draw(st.binary(min_size=count, max_size=count))
-        bits = np.frombuffer(raw, np.uint8) & 1 if dtype == bool else np.frombuffer(raw, np.uint8)
+        bits = np.frombuffer(raw, np.uint8) & 1 if dtype.kind == "b" else np.frombuffer(raw, np.uint8)
         value = bits.view(dtype).reshape(shape).copy()
         if dtype.kind == "f":
             value[np.isnan(value)] = np.nan  # NaN has one face here
