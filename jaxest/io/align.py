@@ -97,8 +97,10 @@ def _nearest(time: NDArray[np.float64], stamps: NDArray[np.float64]) -> NDArray[
     return np.where(stamps - time[left] <= time[right] - stamps, left, right)
 
 
-def _winners(time: NDArray[np.float64], stamps: NDArray[np.float64], tolerance: float) -> NDArray[np.bool_]:
-    """Which stamps join a tick: near enough, and the nearest of those that want the same tick."""
+def _winners(
+    time: NDArray[np.float64], stamps: NDArray[np.float64], tolerance: float
+) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Which stamps join a tick (near enough, and the nearest of those that want the same one), and the nearest tick."""
     tick = _nearest(time, stamps)
     distance = np.abs(stamps - time[tick])
     best = np.full(len(time), np.inf)
@@ -107,7 +109,7 @@ def _winners(time: NDArray[np.float64], stamps: NDArray[np.float64], tolerance: 
     first = np.full(len(time), len(stamps))
     rows = np.flatnonzero(wins)
     np.minimum.at(first, tick[rows], rows)  # a tie goes to the earlier sample
-    return wins & (first[tick] == np.arange(len(stamps)))
+    return wins & (first[tick] == np.arange(len(stamps))), tick
 
 
 def _assign(
@@ -118,8 +120,10 @@ def _assign(
     time = stamps[order[0]]
     rows = {order[0]: np.arange(len(time))}
     for name in order[1:]:
-        wins = _winners(time, stamps[name], tolerance)
-        tick = _nearest(time, stamps[name])
+        if np.array_equal(time, stamps[name]):
+            rows[name] = np.arange(len(time))
+            continue
+        wins, tick = _winners(time, stamps[name], tolerance)
         alone = stamps[name][~wins]
         merged = np.concatenate([time, alone])
         by_time = np.argsort(merged, kind="stable")

@@ -52,7 +52,8 @@ def read(path: PathLike, columns: ColumnTable | Mapping[str, Any] | None = None)
 
     Args:
         path: an `.npz` or `.csv` file.
-        columns: the `[columns]` table of a config, as a dict or parsed; for a file in another layout.
+        columns: the `[columns]` table of a config, as a dict or parsed; for a file in another layout. A file in our
+            own layout needs none, and one that names nothing in it is passed over.
 
     Returns:
         The log, checked: float64 stamps in seconds, SI units (a log in our own layout keeps the unit it states).
@@ -64,8 +65,9 @@ def read(path: PathLike, columns: ColumnTable | Mapping[str, Any] | None = None)
     """
     existing(path)
     raw, own = _format(path).load(path)
-    if columns is not None:
-        return check(table_module.apply(raw, columns))
+    table = _table(path, columns)
+    if table is not None and (own is None or _speaks_of(table, raw)):
+        return check(table_module.apply(raw, table))
     if own is not None:
         return own()
     guess = proposal.guess(raw)
@@ -76,6 +78,17 @@ def read(path: PathLike, columns: ColumnTable | Mapping[str, Any] | None = None)
         )
     log = table_module.apply(raw, guess.table)
     return check(log._replace(notes=guess.assumed))
+
+
+def _table(path: PathLike, columns: ColumnTable | Mapping[str, Any] | None) -> ColumnTable | None:
+    if columns is None or isinstance(columns, ColumnTable):
+        return columns
+    return table_module.parse(columns, f"{path}: columns")
+
+
+def _speaks_of(table: ColumnTable, raw: Raw) -> bool:
+    """Say whether a table names anything that is in the file; one config may serve a foreign log and our estimate."""
+    return any(name in raw.arrays for c in table.streams.values() for name in (c.array, *c.columns))
 
 
 def write(log: SensorLog, path: PathLike, overwrite: bool = False) -> None:

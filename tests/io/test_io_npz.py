@@ -291,3 +291,13 @@ def test_pickled_members_hurt_only_who_asks(tmp_path):
     (tmp_path / "only").mkdir()
     with pytest.raises(InputError, match="'info' holds pickled"):
         read(broken(tmp_path / "only", info=np.array({"subject": 1}, object)))
+
+
+def test_a_table_for_another_file_is_passed_over(tmp_path):
+    path = tmp_path / "log.npz"
+    write(example(), path)
+    assert same(read(path, {"time": "t", "gyroscope": {"array": "gyr"}}), example())
+    table = {"time": "contact/time", "touch": {"array": "contact/value"}}
+    assert list(read(path, table).streams) == ["touch"]
+    with pytest.raises(InputError, match="'tiem'"):
+        read(path, {"tiem": "t", "gyroscope": {"array": "gyr"}})
