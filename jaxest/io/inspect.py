@@ -143,7 +143,8 @@ def _saturated(values: NDArray[Any]) -> bool:
         edges = np.diff(np.concatenate([[0], at.astype(np.int8), [0]]))
         first, after = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
         arrival = np.abs(values[first] - values[np.maximum(first - 1, 0)])
-        if ((after - first >= RUN) & (arrival > fast)).any():
+        runs = (after - first)[(after - first >= RUN) & (arrival > fast)]
+        if runs.sum() >= 2 * RUN:  # one short run may be chance
             return True
     return False
 
