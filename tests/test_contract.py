@@ -1,0 +1,288 @@
+"""What every estimator keeps, whatever it estimates: a new one adds a row to `ROWS`.
+
+A row's system is driven on what its own `simulate` draws, in float64. Four programs are compiled a row and shared by
+the tests: the live step, a run of half the length, a batch of whole runs and a batch of gradients. Equality is to
+rounding: two programs that compute the same formula may fuse it differently.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import cache, partial
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxest.filters import complementary, run
+from jaxest.io.checkpoint import load_state, save_state
+from jaxest.systems import orientation
+from jaxest.types import NON_FINITE, OK, Reading, System
+
+
+class Row(NamedTuple):
+    name: str
+    build: Callable[[], System]
+    simulate: Mapping[str, Any] = MappingProxyType({})
+    """Options of `simulate`, beside `key` and `steps`."""
+    differentiable: bool = True
+    """False for an estimator whose gradient is tested by its score."""
+
+
+SIX = ("gyroscope", "accelerometer")
+ROWS = [
+    Row("orientation_6", partial(orientation.build, None, SIX)),
+    Row("orientation_9", orientation.build),
+    Row("orientation_projection", partial(orientation.build, None, SIX, update=complementary.projection)),
+    Row("orientation_covariance", partial(orientation.build, covariance=True), {"shaking": 1.0}),
+]
+STEPS = 12
+BATCH = 8
+# Compiles five times faster; what is compared with the live step is therefore also compiled differently.
+QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
+
+
+class Case(NamedTuple):
+    """A row's system with data, and its compiled programs; made and used with x64 on."""
+
+    system: System
+    params: Any
+    measurements: Any
+    others: Any
+    """Measurements from another draw."""
+    key: Any
+    start: Callable
+    """params -> state0"""
+    live: Callable
+    """One step."""
+    half: Callable
+    """A run of STEPS / 2."""
+    whole: Callable
+    """BATCH runs of STEPS from `start`."""
+    slopes: Callable
+    """Gradients of `scalar` of such runs, in parameters and in the sensors' values."""
+    traces: list
+    """One entry for each time `live` was traced."""
+
+    def runs(self, *cases):
+        """Results of up to BATCH (params, measurements), through the one compiled batch."""
+        padded = [*cases, *[cases[0]] * (BATCH - len(cases))]
+        out = self.whole(*stacked(padded))
+        return [at(out, i) for i in range(len(cases))]
+
+    def gradients(self, *cases):
+        out = self.slopes(*stacked([*cases, *[cases[0]] * (4 - len(cases))]))
+        return [at(out, i) for i in range(len(cases))]
+
+
+@pytest.fixture(params=ROWS, ids=[row.name for row in ROWS])
+def row(request):
+    return request.param
+
+
+@pytest.fixture
+def case(row, x64):
+    return case_of(row.name)
+
+
+@cache
+def case_of(name: str) -> Case:
+    row = next(row for row in ROWS if row.name == name)
+    system = row.build()
+    params = jax.tree.map(partial(jnp.asarray, dtype=jnp.float64), system.default_params)
+    draw = partial(system.simulate, params, steps=STEPS, **row.simulate)
+    draw = jax.jit(lambda key, draw=draw: draw(key=key)[0], compiler_options=QUICK)
+    key = jax.random.key(5)
+    start = partial(system.init, key=key)
+
+    traces: list = []
+
+    def counted(params, state, measurement):
+        traces.append(1)
+        return system.step(params, state, measurement, key=key)
+
+    def one(params, measurements):
+        return run(system.step, params, start(params), measurements, key=key)
+
+    def loss(params, values, measurements):
+        full = {name: getattr(measurements, name)._replace(value=value) for name, value in values.items()}
+        return scalar(one(params, measurements._replace(**full)))
+
+    def slope(params, measurements):
+        values = {name: getattr(measurements, name).value for name in sensors(measurements)}
+        return jax.grad(loss, (0, 1))(params, values, measurements)
+
+    return Case(
+        system,
+        params,
+        draw(jax.random.key(1)),
+        draw(jax.random.key(2)),
+        key,
+        start,
+        jax.jit(counted),
+        partial(run, system.step, key=key),
+        jax.jit(jax.vmap(one), compiler_options=QUICK),
+        jax.jit(jax.vmap(slope), compiler_options=QUICK),
+        traces,
+    )
+
+
+def scalar(tree, xp=jnp):
+    """A smooth number in which every floating leaf takes part."""
+    leaves = [x for x in jax.tree.leaves(tree) if np.issubdtype(x.dtype, np.floating)]
+    return sum(xp.sum(xp.sin(1 + 3 * x)) for x in leaves)
+
+
+def close(actual, desired, factor=256.0):
+    """Equal leaf by leaf to some eps of the largest entry of each leaf."""
+    assert jax.tree.structure(actual) == jax.tree.structure(desired)
+    for (path, a), d in zip(jax.tree_util.tree_leaves_with_path(actual), jax.tree.leaves(desired), strict=True):
+        a, d = np.asarray(a), np.asarray(d)
+        assert a.dtype == d.dtype
+        exact = not np.issubdtype(d.dtype, np.floating)
+        atol = 0 if exact else factor * np.finfo(d.dtype).eps * max(1.0, np.abs(d).max(initial=0))
+        np.testing.assert_allclose(a, d, rtol=0, atol=atol, err_msg=jax.tree_util.keystr(path))
+
+
+def same(actual, desired):
+    """Equal to the last bit."""
+    jax.tree.map(np.testing.assert_array_equal, actual, desired)
+
+
+def at(tree, index):
+    return jax.tree.map(lambda x: x[index], tree)
+
+
+def stacked(trees):
+    return jax.tree.map(lambda *rows: jnp.stack(rows), *trees)
+
+
+def sensors(measurements):
+    """Fields of a measurement that are readings."""
+    return [name for name, value in measurements._asdict().items() if isinstance(value, Reading)]
+
+
+def masked(measurements, name, rows, value):
+    """The measurement with a sensor's rows invalid and its values there replaced."""
+    reading = getattr(measurements, name)
+    hidden = np.zeros(np.shape(reading.valid), bool)
+    hidden[rows] = True
+    wide = hidden.reshape(hidden.shape + (1,) * (np.ndim(reading.value) - hidden.ndim))
+    changed = Reading(jnp.where(wide, value, reading.value), jnp.asarray(reading.valid) & ~hidden)
+    return measurements._replace(**{name: changed})
+
+
+def live_loop(case, params, measurements):
+    state, infos = case.start(params), []
+    for i in range(STEPS):
+        state, info = case.live(params, state, at(measurements, i))
+        infos.append(info)
+    return state, stacked(infos)
+
+
+def test_jit_is_no_jit(case):
+    state = compiled = case.start(case.params)
+    for i in range(2):
+        measurement = at(case.measurements, i)
+        with jax.disable_jit():
+            state, info = case.system.step(case.params, state, measurement, key=case.key)
+        compiled, compiled_info = case.live(case.params, compiled, measurement)
+        close((compiled, compiled_info), (state, info))
+
+
+def test_a_batch_of_scans_is_a_loop_of_live_steps(case):
+    settings = [
+        (case.params, case.measurements),
+        (jax.tree.map(lambda x: 1.2 * x, case.params), case.measurements),
+        (case.params, case.others),
+    ]
+    for (params, measurements), (state, history) in zip(settings, case.runs(*settings), strict=True):
+        assert int(case.start(params).index) == 0
+        assert int(state.index) == STEPS
+        assert np.all(np.asarray(history.status) == OK)
+        close((state, history), live_loop(case, params, measurements))
+
+
+def test_ten_calls_trace_once(case):
+    state = case.start(case.params)
+    for i in range(10):
+        state, _ = case.live(case.params, state, at(case.measurements, i))
+    assert len(case.traces) == 1
+
+
+def test_chunks_through_a_checkpoint_are_the_whole(case, tmp_path):
+    half = STEPS // 2
+    state0 = case.start(case.params)
+    state, first = case.half(case.params, state0, at(case.measurements, slice(0, half)))
+    save_state(tmp_path / "state.npz", state)
+    state, second = case.half(
+        case.params, load_state(tmp_path / "state.npz", state0), at(case.measurements, slice(half, None))
+    )
+    pieces = state, jax.tree.map(lambda *x: jnp.concatenate(x), first, second)
+    close(pieces, case.runs((case.params, case.measurements))[0])
+
+
+def test_what_is_masked_does_not_exist(case, row):
+    """Whatever stands in a masked reading, the numbers are the same to the last bit and no gradient leads to it."""
+    rows = [0, 3, 4, 8]
+    names = sensors(case.measurements)
+    for name in names:
+        hidden = [masked(case.measurements, name, rows, value) for value in (0.0, np.nan, np.inf, 1e30, -3.0)]
+        reference, *results = case.runs(*((case.params, each) for each in hidden))
+        for result in results:
+            same(result, reference)
+    if not row.differentiable:
+        return
+    hidden = [(case.params, masked(case.measurements, name, rows, np.nan)) for name in names]
+    for name, gradient in zip(names, case.gradients(*hidden), strict=True):
+        assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(gradient))
+        assert np.all(np.asarray(gradient[1][name])[rows] == 0)
+        assert np.any(np.asarray(gradient[1][name])[5] != 0)
+
+
+def test_a_valid_value_that_is_not_finite_is_left_out_and_reported(case):
+    for name in sensors(case.measurements):
+        hidden = masked(case.measurements, name, [6], np.nan)
+        valid = getattr(case.measurements, name).valid
+        visible = hidden._replace(**{name: getattr(hidden, name)._replace(valid=valid)})
+        (state, history), (expected_state, expected) = case.runs((case.params, visible), (case.params, hidden))
+        assert np.flatnonzero(np.asarray(history.status)).tolist() == [6]
+        assert int(history.status[6]) == NON_FINITE
+        same((state, history._replace(status=0)), (expected_state, expected._replace(status=0)))
+
+
+def test_gradient_is_the_finite_difference(case, row):
+    if not row.differentiable:
+        pytest.skip("tested by its score")
+    gradient = case.gradients((case.params, case.measurements))[0]
+    assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(gradient))
+    names = sensors(case.measurements)
+    at_rest = case.params, {name: getattr(case.measurements, name).value for name in names}
+    random = np.random.default_rng(2)
+    # Each number is moved in proportion to itself, so that small parameters count as much as large readings.
+    directions = [jax.tree.map(lambda x: np.asarray(x) * random.normal(size=x.shape), at_rest) for _ in range(4)]
+    h = 1e-6
+
+    def moved(direction, by):
+        params, values = jax.tree.map(lambda x, d: x + by * d, at_rest, direction)
+        full = {name: getattr(case.measurements, name)._replace(value=values[name]) for name in names}
+        return params, case.measurements._replace(**full)
+
+    results = case.runs(*(moved(d, by) for d in directions for by in (h, -h)))
+    totals = [scalar(result, np) for result in results]
+    for i, direction in enumerate(directions):
+        slope = (totals[2 * i] - totals[2 * i + 1]) / (2 * h)
+        products = jax.tree.map(lambda g, d: np.sum(np.asarray(g) * d), gradient, direction)
+        np.testing.assert_allclose(sum(jax.tree.leaves(products)), slope, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["float32", "float64"])
+def test_the_dtype_of_the_input_stays(case, name):
+    def cast(tree):
+        return jax.tree.map(lambda x: np.asarray(x, name if np.issubdtype(x.dtype, np.floating) else x.dtype), tree)
+
+    params, measurements = cast(case.params), cast(case.measurements)
+    state0 = jax.eval_shape(case.start, params)
+    out = jax.eval_shape(partial(run, case.system.step, key=case.key), params, state0, measurements)
+    assert {str(x.dtype) for x in jax.tree.leaves(out) if jnp.issubdtype(x.dtype, jnp.floating)} == {name}
