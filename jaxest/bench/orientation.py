@@ -45,7 +45,7 @@ def _live(vqf: Any, missing: str, progress: Progress, small: bool) -> Iterable[R
     for name, covariance in (("live", False), ("live with covariance", True)):
         system = orientation.build(covariance=covariance)
         step = jax.jit(system.step)
-        params = jax.tree.map(np.float32, system.default_params)
+        params = jax.tree.map(jnp.float32, system.default_params)  # on the device, where a live loop keeps them
         state = system.init(params)
         compiled = candidate(name, step, params, state, one[0])
         loop = partial(_walk, step, params, state, one)
@@ -95,8 +95,8 @@ def _samples(key: jax.Array, count: int) -> Any:
 
 def _walk(step: Any, params: Any, state: Any, measurements: list[Any]) -> Any:
     for measurement in measurements:
-        state, _ = step(params, state, measurement)
-        jax.block_until_ready(state)
+        state, info = step(params, state, measurement)
+        info.quaternion.block_until_ready()
     return state
 
 

@@ -35,7 +35,7 @@ def run(
 
     from jaxest.cli import orientation_errors, settings
     from jaxest.cli.tables import figures
-    from jaxest.cli.truth import at, find
+    from jaxest.cli.truth import at, find, refuse_odd
     from jaxest.io import read
     from jaxest.io.report import report, to_json
 
@@ -47,6 +47,8 @@ def run(
     name = find(mine, stream)
     item = mine.streams[name]
     other = stream if stream in theirs.streams else find(theirs, "")
+    refuse_odd(mine, name)
+    refuse_odd(theirs._replace(streams={other: theirs.streams[other]}), other)
     movement = theirs.streams.get(other.removesuffix("orientation") + "movement", theirs.streams.get("movement"))
     true, moving = at(theirs, other, movement, item.time)
     known = np.isfinite(item.value).all(axis=-1)

@@ -82,29 +82,33 @@ def _log(file: Path, config: Path | None, json: bool) -> Answer:
     from jaxest.io import read, to_toml
     from jaxest.io.inspect import summarize
     from jaxest.io.report import report
+    from jaxest.types import InputError
 
     columns = settings.load(config).columns
     proposal = None if columns else _proposal(file)
-    text = to_toml(proposal) if proposal else ""
-    out = console()
-    if proposal and proposal.unsure:
-        if json:
-            return Answer(json_object(report(NAME, []), config=text, open=list(proposal.unsure)))
-        out.print(f"[yellow]{file}: its names leave something open; put the right lines into a config:[/]\n")
-        log_view.show_config(text, out)
-        return Answer()
-    log = read(file, columns)
-    summary = summarize(log)
+    text, unsure = (to_toml(proposal), proposal.unsure) if proposal else ("", ())
+    try:
+        log = read(file, proposal.table if proposal else columns)
+        summary = summarize(log)
+    except InputError:
+        if not unsure:
+            raise
+        summary = None  # what is open, such as the sampling rate, is needed to read it at all
     if json:
-        found = report(NAME, log_view.rows(summary))
-        return Answer(json_object(found, config=text, notes=list(log.notes), **log_view.plain(summary)))
-    log_view.show(summary, str(file), out)
-    if proposal:
-        out.print("\nread by this guess, to be pasted into a config and corrected:\n")
-        log_view.show_config(text, out)
-    else:
+        notes = list(proposal.assumed if proposal else log.notes)
+        found = report(NAME, log_view.rows(summary) if summary else [])
+        plain = log_view.plain(summary) if summary else {}
+        return Answer(json_object(found, config=text, open=list(unsure), notes=notes, **plain))
+    out = console()
+    if summary:
+        log_view.show(summary, str(file), out)
+    if not proposal:
         for line in log.notes:
             note(line)
+        return Answer()
+    what = "only you can settle what is open" if unsure else "read by this guess"
+    out.print(f"\n{what}; put the right lines into a config:\n")
+    log_view.show_config(text, out)
     return Answer()
 
 

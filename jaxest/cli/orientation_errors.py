@@ -70,12 +70,12 @@ def _consistency(
     if n == 0:
         return []
     part = "orientation" if heading else "inclination"
+    inside = 100 * float(np.mean(value[known] <= CHI_2_95[dof]))
+    expected: Any = {"n": n, "reference_name": "consistent"}
     return [
-        Row(f"{part} NEES", condition, float(np.mean(value[known])), "1", n=n, reference=float(dof),
-            reference_name="consistent"),
-        Row(f"{part} inside 95 %", condition, 100 * float(np.mean(value[known] <= CHI_2_95[dof])), "%", n=n, reference=95.0,
-            reference_name="consistent"),
-    ]  # fmt: skip
+        Row(f"{part} NEES", condition, float(np.mean(value[known])), "1", reference=float(dof), **expected),
+        Row(f"{part} inside 95 %", condition, inside, "%", reference=95.0, **expected),
+    ]
 
 
 def _horizontal(

@@ -9,6 +9,7 @@ from jaxest.io import SensorLog, Stream, interpolate
 from jaxest.io.log import stream, where
 from jaxest.types import InputError
 
+UNIT_LENGTH = 0.02  # what a recorded unit quaternion may be off
 GAP = 5.0  # median intervals of the truth; nothing is made up across a longer gap
 
 
@@ -46,6 +47,32 @@ def at(
 
 def _flags(reading: Any) -> NDArray[np.bool_] | None:
     return None if reading is None else (np.asarray(reading.value) != 0) & np.asarray(reading.valid)
+
+
+def refuse_odd(log: SensorLog, name: str) -> None:
+    """Refuse quaternions that are not of unit length, and a covariance beside them that does not fit.
+
+    Args:
+        log: the log.
+        name: the stream `orientation`; its covariance is `NAME_covariance`, if there is one.
+
+    Raises:
+        InputError: names the stream, the row, what was found and what was expected.
+    """
+    value = stream(log, name).value.astype(np.float64)
+    length = np.linalg.norm(value, axis=-1)
+    off = np.abs(length - 1) > UNIT_LENGTH  # False where NaN
+    if off.any():
+        row = int(np.argmax(off))
+        raise InputError(
+            f"{where(log)}stream {name!r}: row {row} has length {length[row]:.4g}, expected unit quaternions (wxyz)"
+        )
+    covariance = log.streams.get(f"{name}_covariance")
+    if covariance is not None and covariance.value.shape != (len(value), 3, 3):
+        raise InputError(
+            f"{where(log)}stream {name + '_covariance'!r}: shape {covariance.value.shape}, expected "
+            f"{(len(value), 3, 3)}, one for each row of {name!r}"
+        )
 
 
 def find(log: SensorLog, name: str) -> str:
