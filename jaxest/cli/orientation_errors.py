@@ -60,7 +60,9 @@ def _consistency(
 ) -> list[Row]:
     from jaxest.metrics import nees, orientation_difference
 
-    error, covariance = orientation_difference(quaternion, truth), np.asarray(covariance, np.float64)
+    covariance = np.asarray(covariance, np.float64)
+    quaternion = quaternion if heading else _same_heading(quaternion, truth)
+    error = orientation_difference(quaternion, truth)
     if not heading:
         error, covariance = _horizontal(quaternion, error, covariance)
     dof = error.shape[-1]
@@ -76,6 +78,14 @@ def _consistency(
         Row(f"{part} NEES", condition, float(np.mean(value[known])), "1", reference=float(dof), **expected),
         Row(f"{part} inside 95 %", condition, inside, "%", reference=95.0, **expected),
     ]
+
+
+def _same_heading(quaternion: NDArray[Any], truth: NDArray[Any]) -> NDArray[Any]:
+    """Turn estimates about the vertical until the error that remains has a horizontal axis."""
+    (a, b, c, d), (e, f, g, h) = np.moveaxis(quaternion, -1, 0), np.moveaxis(truth, -1, 0)
+    half = -np.arctan2(d * e - a * h - b * g + c * f, a * e + b * f + c * g + d * h)  # z and w of quaternion / truth
+    w, z = np.cos(half), np.sin(half)
+    return np.stack([w * a - z * d, w * b - z * c, w * c + z * b, w * d + z * a], axis=-1)
 
 
 def _horizontal(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from jaxest.cli import orientation_errors
 from jaxest.cli.methods import SIZE, Outcome, Request
 from jaxest.io import SensorLog, Stream, ticks, to_si
-from jaxest.io.log import stream, where
+from jaxest.io.log import finite_rows, stream, where
 from jaxest.io.report import Row
 from jaxest.types import InputError, Reading, unknown_name
 
@@ -116,12 +116,12 @@ def choose(log: SensorLog, request: Request) -> Choice:
     from jaxest.filters.complementary_covariance import Params as WithNoise
 
     settings = request.settings
-    imu = settings.get("imu", _only_imu(log))
+    imu = settings["imu"] if "imu" in settings else _only_imu(log)
     prefix = f"{imu}/" if imu else ""
     asked = request.sensors or tuple(settings.get("sensors", ()))
     for kind in asked:
         if kind not in KINDS:
-            raise unknown_name("sensor", kind, KINDS)
+            raise unknown_name("sensor", str(kind), KINDS)
     kinds = tuple(kind for kind in KINDS if kind in asked) if asked else KINDS[:2]
     if not asked and f"{prefix}magnetometer" in log.streams:
         kinds = KINDS
@@ -160,13 +160,27 @@ def _steps(log: SensorLog, choice: Choice, nan: str) -> Any:
     """Merge the streams; the gyroscope's last reading stands in at ticks that only another sensor has."""
     gyro = stream(log, choice.names[0])
     interval = float(np.median(np.diff(gyro.time))) if len(gyro.time) > 1 else 0.0
+    if nan == "error":
+        _refuse_nan(log, choice)
     steps = ticks(log, choice.names, tolerance=interval / 2, dtype=np.float32,
-                  nan="invalid" if nan == "missing" else "error")  # fmt: skip
+                  nan="invalid")  # fmt: skip
     value, valid = steps.readings[choice.names[0]]
     last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
     near = (last >= 0) & (steps.time - steps.time[last] <= HOLD * interval)
     held: Any = np.where(near[:, None], value[last], value), near
     return steps._replace(readings={**steps.readings, choice.names[0]: Reading(*held)})
+
+
+def _refuse_nan(log: SensorLog, choice: Choice) -> None:
+    for name in choice.names:
+        item = stream(log, name)
+        bad = ~finite_rows(item.value)
+        if bad.any():
+            row = int(np.argmax(bad))
+            raise InputError(
+                f"{where(log)}stream {name!r}: row {row} at {item.time[row]:.6f} s is not finite ({int(bad.sum())} of "
+                f'{len(bad)} rows); expected numbers, or nan = "missing" in a config to take such rows as missing'
+            )
 
 
 def _run(choice: Choice, steps: Any) -> Any:

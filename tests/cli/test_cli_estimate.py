@@ -1,0 +1,227 @@
+"""`jaxest estimate --method orientation` on logs whose truth is known."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import orientation, turning
+
+from jaxest.io import SensorLog, Stream, read, write
+from jaxest.metrics import orientation_error
+
+ESTIMATE = ("--method", "orientation", "-o", "out")
+FIELDS = {"name", "jaxest", "jax", "mujoco", "devices", "flags", "rows"}
+
+
+def worst_deg(estimate, truth, part="total"):
+    return np.rad2deg(np.max(getattr(orientation_error(estimate, truth), part)))
+
+
+def test_nine_axes(invoke, tmp_path):
+    write(turning(truth=True), tmp_path / "a.npz")
+    result = invoke("estimate", "a.npz", *ESTIMATE)
+    assert result.exit_code == 0, result.output
+    assert "total RMSE" in result.stdout
+    assert "orientation in the log" in result.stdout
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"estimate.npz", "report.json", "orientation.png"}
+    streams = read(tmp_path / "out" / "estimate.npz").streams
+    assert set(streams) == {"orientation", "orientation_covariance", "gyroscope_bias"}
+    time = np.arange(200) / 100
+    for item in streams.values():
+        np.testing.assert_array_equal(item.time, time)
+    assert worst_deg(streams["orientation"].value, orientation(time)) < 0.3  # ideal sensors, K_p pulls by < 0.2 deg
+    covariance = streams["orientation_covariance"].value
+    assert covariance.shape == (200, 3, 3)
+    assert (np.linalg.eigvalsh(covariance) > 0).all()
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert set(report) == FIELDS
+    assert {row["metric"] for row in report["rows"]} >= {"samples", "total RMSE", "orientation NEES"}
+
+
+def test_json_has_standard_output_to_itself(invoke, tmp_path):
+    write(turning(truth=True), tmp_path / "a.npz")
+    result = invoke("estimate", "a.npz", *ESTIMATE, "--json")
+    report = json.loads(result.stdout)
+    assert report["name"] == "orientation"
+    assert report == json.loads((tmp_path / "out" / "report.json").read_text())
+
+
+def test_output_is_replaced_only_by_force(invoke, tmp_path):
+    write(turning(), tmp_path / "a.npz")
+    assert invoke("estimate", "a.npz", *ESTIMATE).exit_code == 0
+    before = (tmp_path / "out" / "estimate.npz").read_bytes()
+    write(turning(magnetometer=False), tmp_path / "a.npz", overwrite=True)
+    assert invoke("estimate", "a.npz", *ESTIMATE).exit_code == 2
+    assert (tmp_path / "out" / "estimate.npz").read_bytes() == before
+    assert invoke("estimate", "a.npz", *ESTIMATE, "--force").exit_code == 0
+    assert (tmp_path / "out" / "estimate.npz").read_bytes() != before
+
+
+@pytest.mark.parametrize("how", ["log", "option", "config"])
+def test_six_axes(invoke, tmp_path, how):
+    write(turning(magnetometer=how != "log", truth=True), tmp_path / "a.npz")
+    (tmp_path / "a.toml").write_text('[orientation]\nsensors = ["gyroscope", "accelerometer"]\n')
+    words = {"log": (), "option": ("--sensors", "gyroscope,accelerometer"), "config": ("-c", "a.toml")}[how]
+    result = invoke("estimate", "a.npz", *ESTIMATE, *words)
+    assert result.exit_code == 0, result.output
+    item = read(tmp_path / "out" / "estimate.npz").streams["orientation"]
+    assert item.extra["heading"] == "free"
+    assert worst_deg(item.value, orientation(item.time), "inclination") < 0.3
+    assert "heading RMSE" not in result.stdout
+    compared = json.loads(invoke("compare", "out/estimate.npz", "a.npz", "--json").stdout)
+    assert [row["metric"] for row in compared["rows"]] == [
+        "inclination RMSE", "inclination NEES", "inclination inside 95 %",
+    ]  # fmt: skip
+
+
+def test_gains_of_the_config_are_used(invoke, tmp_path):
+    log = turning()
+    gyroscope = log.streams["gyroscope"]
+    write(log._replace(streams={**log.streams, "gyroscope": gyroscope._replace(value=gyroscope.value + 0.05)}),
+          tmp_path / "a.npz")  # fmt: skip
+    worst = {}
+    for gain in (0.0, 5.0):
+        (tmp_path / "a.toml").write_text(f"[orientation]\nproportional_gain = {gain}\nintegral_gain = 0\n")
+        assert invoke("estimate", "a.npz", *ESTIMATE, "-c", "a.toml", "--force").exit_code == 0
+        item = read(tmp_path / "out" / "estimate.npz").streams["orientation"]
+        worst[gain] = worst_deg(item.value, orientation(item.time))
+    drift = np.rad2deg(0.05 * np.sqrt(3) * 1.99)  # nothing holds the biased gyroscope back
+    assert worst[0.0] == pytest.approx(drift, rel=0.1)
+    assert worst[5.0] < 0.5 * drift
+
+
+def test_somebody_elses_layout_and_units(invoke, tmp_path):
+    log = turning()
+    gyroscope, accelerometer = (log.streams[name].value for name in ("gyroscope", "accelerometer"))
+    np.savez(tmp_path / "a.npz", w=np.rad2deg(gyroscope).T.copy().T, f=accelerometer / 9.80665)
+    (tmp_path / "a.toml").write_text(
+        "[columns]\nrate = 100.0\n[columns.gyroscope]\narray = 'w'\nunit = 'deg/s'\n"
+        "[columns.accelerometer]\narray = 'f'\nunit = 'g'\n"
+    )
+    assert invoke("estimate", "a.npz", *ESTIMATE, "-c", "a.toml").exit_code == 0
+    item = read(tmp_path / "out" / "estimate.npz").streams["orientation"]
+    assert worst_deg(item.value, orientation(item.time), "inclination") < 0.3
+
+
+def test_own_layout_in_other_units(invoke, tmp_path):
+    log = turning()
+    item = log.streams["gyroscope"]._replace(value=np.rad2deg(log.streams["gyroscope"].value), unit="deg/s")
+    write(log._replace(streams={**log.streams, "gyroscope": item}), tmp_path / "a.npz")
+    assert invoke("estimate", "a.npz", *ESTIMATE).exit_code == 0
+    item = read(tmp_path / "out" / "estimate.npz").streams["orientation"]
+    assert worst_deg(item.value, orientation(item.time)) < 0.3
+
+
+def test_sensors_of_other_rates_and_stamps(invoke, tmp_path):
+    fast, slow = turning(400, 200.0), turning(40, 20.0)
+    late = turning(80, 40.0).streams["accelerometer"]
+    streams = {
+        "gyroscope": fast.streams["gyroscope"],
+        "accelerometer": late._replace(time=late.time + 1e-3),
+        "magnetometer": slow.streams["magnetometer"],
+    }
+    write(SensorLog(streams), tmp_path / "a.npz")
+    result = invoke("estimate", "a.npz", *ESTIMATE)
+    assert result.exit_code == 0, result.output
+    item = read(tmp_path / "out" / "estimate.npz").streams["orientation"]
+    np.testing.assert_array_equal(item.time, fast.streams["gyroscope"].time)
+    known = np.isfinite(item.value).all(axis=1)
+    assert known.mean() > 0.97
+    assert worst_deg(item.value[known], orientation(item.time[known])) < 1.0  # 1 ms at 0.54 rad/s is 0.03 deg
+
+
+def test_quick_accelerometer_does_not_stop_the_gyroscope(invoke, tmp_path):
+    slow, quick = turning(100, 50.0), turning(400, 200.0)
+    streams = {"gyroscope": slow.streams["gyroscope"], "accelerometer": quick.streams["accelerometer"],
+               "magnetometer": quick.streams["magnetometer"]}  # fmt: skip
+    write(SensorLog(streams), tmp_path / "a.npz")
+    (tmp_path / "a.toml").write_text("[orientation]\nproportional_gain = 0\nintegral_gain = 0\n")
+    result = invoke("estimate", "a.npz", *ESTIMATE, "-c", "a.toml")
+    assert result.exit_code == 0, result.output
+    item = read(tmp_path / "out" / "estimate.npz").streams["orientation"]
+    assert len(item.time) == 400
+    assert worst_deg(item.value, orientation(item.time)) < 0.1
+
+
+def test_missing_samples(invoke, tmp_path):
+    log = turning()
+    holes = {name: item._replace(value=item.value.copy()) for name, item in log.streams.items()}
+    holes["accelerometer"].value[:20] = np.nan
+    holes["magnetometer"].value[50:60, 2] = np.inf
+    write(SensorLog(holes), tmp_path / "a.npz")
+    (tmp_path / "a.toml").write_text('nan = "missing"\n')
+    assert invoke("estimate", "a.npz", *ESTIMATE).exit_code == 2
+    result = invoke("estimate", "a.npz", *ESTIMATE, "-c", "a.toml")
+    assert result.exit_code == 0, result.output
+    item = read(tmp_path / "out" / "estimate.npz").streams["orientation"]
+    assert np.isnan(item.value[:20]).all()  # nothing has settled the orientation yet
+    assert worst_deg(item.value[20:], orientation(item.time[20:])) < 0.3
+
+
+def test_result_that_must_not_be_used(invoke, tmp_path):
+    log = turning()
+    holes = {**log.streams, "accelerometer": log.streams["accelerometer"]._replace(value=np.full((200, 3), np.nan))}
+    write(SensorLog(holes), tmp_path / "a.npz")
+    (tmp_path / "a.toml").write_text('nan = "missing"\n')
+    result = invoke("estimate", "a.npz", *ESTIMATE, "-c", "a.toml", "--json")
+    assert result.exit_code == 3
+    assert "do not use this estimate: the orientation was never settled" in result.stderr
+    assert json.loads(result.stdout)["name"] == "orientation"
+
+
+def test_window(invoke, tmp_path):
+    write(turning(start=1.7e9), tmp_path / "a.npz")  # seconds since 1970: the window counts from the first sample
+    assert invoke("estimate", "a.npz", *ESTIMATE, "--start", "0.495", "--end", "1.5").exit_code == 0
+    item = read(tmp_path / "out" / "estimate.npz").streams["orientation"]
+    assert len(item.time) == 101
+    assert item.time[0] == pytest.approx(1.7e9 + 0.5, abs=1e-6)
+    assert worst_deg(item.value, orientation(item.time - 1.7e9)) < 0.3
+
+
+def test_one_of_several_imus(invoke, tmp_path):
+    log = turning(truth=True)
+    other = Stream(log.streams["gyroscope"].time, np.zeros((200, 3)), "rad/s")
+    streams = {f"hand/{name}": item for name, item in log.streams.items()} | {"arm/gyroscope": other}
+    write(SensorLog(streams), tmp_path / "a.npz")
+    (tmp_path / "a.toml").write_text('[orientation]\nimu = "hand"\n')
+    result = invoke("estimate", "a.npz", *ESTIMATE, "-c", "a.toml")
+    assert result.exit_code == 0, result.output
+    assert "hand/orientation in the log" in result.stdout
+
+
+def test_no_picture_without_matplotlib(invoke, tmp_path, monkeypatch):
+    find = __import__("importlib.util").util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "matplotlib" else find(name))
+    write(turning(), tmp_path / "a.npz")
+    result = invoke("estimate", "a.npz", *ESTIMATE)
+    assert result.exit_code == 0
+    assert "pip install 'jaxest[viz]'" in result.stderr
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"estimate.npz", "report.json"}
+
+
+@pytest.mark.recorded
+def test_broad_trial(invoke, shared):
+    trial = shared / "recordings" / "broad" / "04_undisturbed_slow_rotation_with_breaks_A.npz"
+    rows = json.loads(invoke("estimate", trial, *ESTIMATE, "--json").stdout)["rows"]
+    found = {row["metric"]: row["value"] for row in rows}
+    assert found["total RMSE"] == pytest.approx(5.08, abs=0.05)
+    again = json.loads(invoke("compare", "out/estimate.npz", trial, "--json").stdout)["rows"]
+    assert {row["metric"]: row["value"] for row in again}["total RMSE"] == pytest.approx(found["total RMSE"], rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.recorded
+def test_broad(invoke, shared):
+    """The benchmark's means with constant gains, on which two independent implementations agree."""
+    total, inclination = [], []
+    for trial in sorted((shared / "recordings" / "broad").glob("*.npz")):
+        for sensors, kept, metric in (
+            ("gyroscope,accelerometer", inclination, "inclination RMSE"),
+            ("gyroscope,accelerometer,magnetometer", total, "total RMSE"),
+        ):
+            result = invoke("estimate", trial, *ESTIMATE, "--sensors", sensors, "--force", "--json")
+            assert result.exit_code == 0, result.stderr
+            kept += [row["value"] for row in json.loads(result.stdout)["rows"] if row["metric"] == metric]
+    assert len(total) == len(inclination) == 20
+    assert np.mean(inclination) == pytest.approx(2.82, abs=0.1)
+    assert np.mean(total) == pytest.approx(7.3, abs=0.1)
