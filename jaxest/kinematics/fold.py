@@ -7,6 +7,7 @@ stays a short program.
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -65,13 +66,25 @@ def fold(robot: Robot) -> Folded:
     Returns:
         The constants that `chains` and `forward` work with.
     """
-    topology = robot.topology
     leaves = (
         *(robot.body_position, robot.body_quaternion, robot.joint_anchor, robot.joint_axis),
         *(robot.site_position, robot.site_quaternion),
     )
-    xp: Any = np if is_concrete(*leaves) else jnp
-    position, quaternion, anchor, axis, site_position, site_quaternion = (xp.asarray(leaf) for leaf in leaves)
+    if is_concrete(*leaves):
+        return _fold(np, robot.topology, *(np.asarray(leaf) for leaf in leaves))
+    return _traced_fold(jnp, robot.topology, *(jnp.asarray(leaf) for leaf in leaves))
+
+
+def _fold(
+    xp: Any,
+    topology: Topology,
+    position: Any,
+    quaternion: Any,
+    anchor: Any,
+    axis: Any,
+    site_position: Any,
+    site_quaternion: Any,
+) -> Folded:
     quaternion, site_quaternion, axis = (_normalised(xp, x) for x in (quaternion, site_quaternion, axis))
     turning = np.array([kind in (HINGE, BALL) for kind in topology.joint_kind], bool)
     anchor = xp.where(turning[:, None], anchor, 0.0)  # a slide's anchor moves nothing, a free joint has none
@@ -92,6 +105,9 @@ def fold(robot: Robot) -> Folded:
         xp.concatenate([body_translation, sites[0]]),
         xp.concatenate([body_quaternion, sites[1]]),
     )
+
+
+_traced_fold = jax.jit(_fold, static_argnums=(0, 1))
 
 
 def _bodies_in_joints(xp: Any, topology: Topology, position: Any, quaternion: Any, anchor: Any) -> tuple[Any, Any]:

@@ -10,16 +10,13 @@ from jax.custom_derivatives import SymbolicZero
 
 from jaxest.kinematics import components as c
 from jaxest.kinematics.chains import Chain, Plan
-from jaxest.kinematics.robot import FREE, SLIDE
+from jaxest.kinematics.robot import FREE, HINGE, SLIDE
 from jaxest.kinematics.scan import (
     Links,
     Pose,
     columns,
     quaternion_coordinates,
-    scalar_constants,
-    scalar_coordinates,
     scan_poses,
-    start_of,
 )
 from jaxest.types import Array
 
@@ -49,11 +46,19 @@ def _joint_poses_jvp(planned: Plan, primals: tuple[Links, Array], tangents: Any)
     constants, q = primals
     constants_dot, q_dot = tangents
     whole = joint_poses(planned.whole(), constants, q)
+    dots = Links(
+        *(
+            jnp.zeros_like(x) if isinstance(d, SymbolicZero) else d
+            for x, d in zip(constants, constants_dot, strict=True)
+        )
+    )
+    tuned = any(not isinstance(dot, SymbolicZero) for dot in constants_dot)
+    added = _constant_twists(planned, whole, constants, q, dots) if tuned and whole else [None] * len(whole)
     moves: list[tuple[c.Vector, c.Vector]] = []
     poses: list[Pose] = []
     poses_dot: list[Pose] = []
-    for index, (chain, pose) in enumerate(zip(planned.chains, whole, strict=True)):
-        twists = _chain_twists(planned, index, whole, constants, q, constants_dot, q_dot)
+    for chain, pose, extra in zip(planned.chains, whole, added, strict=True):
+        twists = _chain_twists(planned, chain, pose, constants, q, q_dot, extra)
         start = moves[chain.parent] if chain.parent >= 0 else None
         every, end = _running_sum(twists, start, chain.every)
         moves.append(end)
@@ -89,19 +94,16 @@ def _running_sum(twists: Any, start: Any, every: bool) -> tuple[Any, Any]:
 
 
 def _chain_twists(
-    planned: Plan, index: int, whole: tuple[Pose, ...], constants: Links, q: Array, constants_dot: Any, q_dot: Any
+    planned: Plan, chain: Chain, pose: Pose, constants: Links, q: Array, q_dot: Any, extra: Any
 ) -> tuple[c.Vector, c.Vector]:
     """Return each joint's own twist in the world about the origin, (rotation, translation), (n,) each."""
-    chain, pose = planned.chains[index], whole[index]
     zero = jnp.zeros((len(chain.joints),), q.dtype)
     rotation, translation = (zero, zero, zero), (zero, zero, zero)
     if not isinstance(q_dot, SymbolicZero):
         twist = _scalar_twists if chain.scalar else _quaternion_twists
         rotation, translation = twist(planned, chain, pose, constants, q, q_dot)
-    if any(not isinstance(dot, SymbolicZero) for dot in constants_dot):
-        parent = _before(whole, chain, pose, q.dtype)
-        turned, shifted = _constant_twists(planned, chain, pose, parent, constants, q, constants_dot)
-        rotation, translation = c.add(rotation, turned), c.add(translation, shifted)
+    if extra is not None:
+        rotation, translation = c.add(rotation, extra[0]), c.add(translation, extra[1])
     return rotation, c.add(translation, c.cross(pose.position, rotation))
 
 
@@ -130,35 +132,47 @@ def _quaternion_twists(
     return c.rotate(pose.quaternion, rate), shift
 
 
-def _before(whole: tuple[Pose, ...], chain: Chain, pose: Pose, dtype: Any) -> Pose:
-    """Return the poses that the chain's joints start from, (n,) each."""
-    ends = [jax.tree.map(lambda x: x[-1], pose) for pose in whole]
-    start = start_of(ends, chain, dtype)
-    return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest[:-1]]), start, pose)
-
-
 def _constant_twists(
-    planned: Plan, chain: Chain, pose: Pose, parent: Pose, constants: Links, q: Array, constants_dot: Any
-) -> tuple[c.Vector, c.Vector]:
-    """Return what a change of the robot's own numbers adds, at the joint's frame, in the world."""
-    dots = Links(
-        *(
-            jnp.zeros_like(x) if isinstance(d, SymbolicZero) else d
-            for x, d in zip(constants, constants_dot, strict=True)
-        )
+    planned: Plan, whole: tuple[Pose, ...], constants: Links, q: Array, dots: Links
+) -> list[tuple[c.Vector, c.Vector]]:
+    """Return what a change of the robot's own numbers adds at the joints' frames, in the world, a pair per chain.
+
+    All chains at once: this is rarely batched, and a robot with many short chains would make a long program.
+    """
+    joints = [joint for chain in planned.chains for joint in chain.joints]
+    kinds = [planned.joint_kind[joint] for joint in joints]
+    hinge, slide = (np.array([kind == which for kind in kinds]) for which in (HINGE, SLIDE))
+    at = np.array([planned.joint_q[joint] for joint in joints])
+    rows = np.array(joints)
+    now, dot = (
+        Links(n.translation[rows], n.quaternion[rows], n.axis[rows], n.reference[at]) for n in (constants, dots)
     )
+    own = jax.tree.map(lambda *parts: jnp.concatenate(parts), *whole).quaternion
+    before = tuple(
+        jnp.append(x, jnp.asarray(i, x.dtype))[_parents(planned)] for x, i in zip(own, c.IDENTITY, strict=True)
+    )
+    x = jnp.where(hinge | slide, q[at] - now.reference, 0)
+    sine, cosine = c.half_sincos(jnp.where(hinge, x, 0))
+    axis, axis_dot, fixed = c.split(now.axis), c.split(dot.axis), c.split(now.quaternion)
+    # The fixed rotation moves on the parent's side, the axis and the reference on the joint's own.
+    turn = c.scale(c.multiply(c.split(dot.quaternion), c.conjugate(fixed))[1:], 2)
+    direction_dot = c.add(c.cross(turn, c.rotate(fixed, axis)), c.rotate(fixed, axis_dot))
+    shift = c.add(c.split(dot.translation), c.scale(direction_dot, jnp.where(slide, x, 0)))
+    tilt = c.sub(c.scale(axis_dot, 2 * sine * cosine), c.scale(c.cross(axis, axis_dot), 2 * sine * sine))
+    tilt = c.sub(tilt, c.scale(axis, jnp.where(hinge, dot.reference, 0)))
+    slip = c.scale(axis, jnp.where(slide, -dot.reference, 0))
+    rotation = c.add(c.rotate(before, turn), c.rotate(own, tilt))
+    translation = c.add(c.rotate(before, shift), c.rotate(own, slip))
+    cuts = np.cumsum([len(chain.joints) for chain in planned.chains])[:-1]
+    parts = [jnp.split(component, cuts) for component in (*rotation, *translation)]
+    return [(tuple(part[:3]), tuple(part[3:])) for part in zip(*parts, strict=True)]
 
-    def local(numbers: Links) -> tuple[c.Vector, c.Quaternion]:
-        rows = np.array(chain.joints)
-        if not chain.scalar:
-            position, unit, _ = quaternion_coordinates(planned, chain, q)
-            translation = c.add(c.split(numbers.translation[rows]), position)
-            return translation, c.multiply(c.split(numbers.quaternion[rows]), unit)
-        translation, fixed, turn, slide = scalar_constants(planned, chain, numbers)
-        x, sine, cosine = scalar_coordinates(planned, chain, numbers, q)
-        if chain.slides:
-            translation = c.add(translation, c.scale(slide, x))
-        return translation, tuple(f * cosine + t * sine for f, t in zip(fixed, turn, strict=True))
 
-    (_, rotation), (shift, turned) = jax.jvp(local, (constants,), (dots,))
-    return c.rotate(pose.quaternion, c.local_rate(rotation, turned)), c.rotate(parent.quaternion, shift)
+def _parents(planned: Plan) -> np.ndarray:
+    """Return the place of each joint's parent in the order of the chains, one past the end for the world."""
+    sizes = [len(chain.joints) for chain in planned.chains]
+    starts = np.cumsum([0, *sizes])
+    parents = np.arange(-1, starts[-1] - 1)
+    for index, chain in enumerate(planned.chains):
+        parents[starts[index]] = starts[chain.parent + 1] - 1 if chain.parent >= 0 else starts[-1]
+    return parents

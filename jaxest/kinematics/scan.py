@@ -46,7 +46,7 @@ def scan_poses(planned: Plan, constants: Links, q: Array) -> tuple[Pose, ...]:
     poses: list[Pose] = []
     ends: list[Pose] = []
     for chain in planned.chains:
-        start = start_of(ends, chain, q.dtype)
+        start = _start(ends, chain, q.dtype)
         scan = _scalar_chain if chain.scalar else _quaternion_chain
         end, every = scan(planned, chain, constants, q, start)
         ends.append(end)
@@ -54,7 +54,7 @@ def scan_poses(planned: Plan, constants: Links, q: Array) -> tuple[Pose, ...]:
     return tuple(poses)
 
 
-def start_of(ends: list[Pose], chain: Chain, dtype: Any) -> Pose:
+def _start(ends: list[Pose], chain: Chain, dtype: Any) -> Pose:
     """Return the pose that a chain starts from: the end of its parent chain, or the world."""
     if chain.parent >= 0:
         return ends[chain.parent]
@@ -67,8 +67,8 @@ def _compose(pose: Pose, translation: c.Vector, quaternion: c.Quaternion) -> Pos
 
 
 def _scalar_chain(planned: Plan, chain: Chain, constants: Links, q: Array, start: Pose) -> tuple[Pose, Any]:
-    translation, fixed, turn, slide = scalar_constants(planned, chain, constants)
-    x, sine, cosine = scalar_coordinates(planned, chain, constants, q)
+    translation, fixed, turn, slide = _scalar_constants(planned, chain, constants)
+    x, sine, cosine = _scalar_coordinates(planned, chain, constants, q)
 
     def link(pose: Pose, now: Any) -> tuple[Pose, Pose | None]:
         translation, fixed, turn, slide, x, sine, cosine = now
@@ -81,7 +81,7 @@ def _scalar_chain(planned: Plan, chain: Chain, constants: Links, q: Array, start
     return jax.lax.scan(link, start, (translation, fixed, turn, slide, x, sine, cosine))
 
 
-def scalar_coordinates(planned: Plan, chain: Chain, constants: Links, q: Array) -> tuple[Array, Array, Array]:
+def _scalar_coordinates(planned: Plan, chain: Chain, constants: Links, q: Array) -> tuple[Array, Array, Array]:
     """Return the displacement from the reference and the half angle's sine and cosine, (n,) each."""
     at = columns(q, [planned.joint_q[j] for j in chain.joints])
     x = at - columns(constants.reference, [planned.joint_q[j] for j in chain.joints])
@@ -91,7 +91,7 @@ def scalar_coordinates(planned: Plan, chain: Chain, constants: Links, q: Array) 
     return (x, *c.half_sincos(jnp.where(hinge, x, 0)))
 
 
-def scalar_constants(planned: Plan, chain: Chain, constants: Links) -> tuple[Any, Any, Any, Any]:
+def _scalar_constants(planned: Plan, chain: Chain, constants: Links) -> tuple[Any, Any, Any, Any]:
     """Return translation, rotation at the reference, its product with the axis, and the slide's direction."""
     rows = np.array(chain.joints)
     translation, quaternion = c.split(constants.translation[rows]), c.split(constants.quaternion[rows])

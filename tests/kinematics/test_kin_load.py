@@ -1,0 +1,187 @@
+"""Loading: what is kept, what is left out with a word, and what is refused with a reason."""
+
+import logging
+
+import mujoco
+import numpy as np
+import pytest
+from robots import PACKAGED, SHARED, source
+
+from jaxest import kinematics, models
+from jaxest.types import InputError
+
+INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+
+
+def link(name, inside="", inertial=INERTIAL):
+    return f'<link name="{name}">{inertial}{inside}</link>'
+
+
+def joint(name, parent, child, kind="revolute", inside=""):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/><axis xyz="0 0 1"/>'
+        f'<origin xyz="0 0 1"/><limit lower="-1" upper="2" effort="1" velocity="1"/>{inside}</joint>'
+    )
+
+
+def urdf(*parts):
+    return f'<robot name="r">{"".join(parts)}</robot>'
+
+
+def collision(file):
+    return f'<collision><geometry><mesh filename="{file}"/></geometry></collision>'
+
+
+@pytest.mark.parametrize("name", [*PACKAGED, *(pytest.param(n, marks=pytest.mark.recorded) for n in SHARED)])
+def test_every_robot_loads_with_mujocos_order(name, request):
+    robot = kinematics.load(source(name, request.getfixturevalue("shared") if name in SHARED else None))
+    assert len(set(robot.frame_names)) == len(robot.frame_names)
+    assert robot.home.shape == (robot.nq,)
+    assert robot.limits.shape == (robot.nq, 2)
+    assert (robot.limits[:, 0] < robot.limits[:, 1]).all()
+    assert all(parent < body for body, parent in enumerate(robot.topology.body_parent))
+
+
+@pytest.mark.recorded
+def test_absent_meshes_are_left_out_with_one_line(shared, caplog):
+    with caplog.at_level(logging.WARNING, "jaxest"):
+        robot = kinematics.load(shared / "robots" / "panda.xml")
+    assert robot.notes == ("58 mesh files absent, geometry left out (first: meshes/link0.stl)",)
+    assert robot.notes[0] in caplog.text
+    assert (robot.body_mass[1:8] > 0.5).all()
+
+
+@pytest.mark.recorded
+def test_a_hand_without_inertias_has_kinematics_only(shared):
+    robot = kinematics.load(shared / "robots" / "inspire_left_hand.xml")
+    assert len(robot.topology.massless) > 10
+    assert np.isfinite(kinematics.forward(robot, robot.home).position).all()
+    with pytest.raises(InputError, match=r"no inertia for .* moving bodies .*expected <inertial> elements"):
+        kinematics.gravity_torque(robot, robot.home)
+
+
+def test_sources_path_text_and_model_agree():
+    path = models.path("arm")
+    loaded = [kinematics.load(s) for s in (path, str(path), path.read_text())]
+    model = mujoco.MjModel.from_xml_path(str(path))
+    for robot in (*loaded, kinematics.load(model)):
+        assert robot.frame_names == loaded[0].frame_names
+        np.testing.assert_array_equal(robot.body_inertia, loaded[0].body_inertia)
+    np.testing.assert_allclose(loaded[0].home, [0, 0.6, 0.8, -0.3])
+    assert loaded[0].limits[1] == pytest.approx(np.deg2rad([-115, 115]))
+
+
+def test_a_mesh_that_is_there_gives_the_inertia(tmp_path):
+    vertices = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    faces = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
+    lines += [f"f {a} {b} {c}\nf {a} {c} {d}" for a, b, c, d in faces]
+    (tmp_path / "cube.obj").write_text("\n".join(lines))
+    text = (
+        '<mujoco><asset><mesh name="cube" file="cube.obj"/><mesh name="gone" file="gone.obj"/></asset><worldbody>'
+        '<body><joint/><geom type="mesh" mesh="cube"/><geom type="mesh" mesh="gone" mass="0"/></body>'
+        "</worldbody></mujoco>"
+    )
+    (tmp_path / "robot.xml").write_text(text)
+    robot = kinematics.load(tmp_path / "robot.xml")
+    assert robot.body_mass[0] == pytest.approx(8000)
+    assert robot.notes == ("1 mesh files absent, geometry left out (first: gone.obj)",)
+
+
+def test_urdf_keeps_fixed_links_mimics_and_limits():
+    text = urdf(
+        link("a"),
+        link("b"),
+        link("c"),
+        link("tool", inertial=""),
+        joint("j1", "a", "b"),
+        joint("j2", "b", "c", "continuous", '<mimic joint="j1" multiplier="2" offset="0.1"/>'),
+        joint("flange", "c", "tool", "fixed"),
+    )
+    robot = kinematics.load(text)
+    assert robot.frame_names == ("a", "b", "c", "tool")
+    assert robot.topology.couplings == ((1, 0),)
+    np.testing.assert_allclose(kinematics.expand(robot, np.array([0.3])), [0.3, 0.7], rtol=1e-6)
+    np.testing.assert_array_equal(robot.limits, [[-1, 2], [-np.inf, np.inf]])
+
+
+@pytest.mark.parametrize("file", ["package://nowhere/meshes/x.stl", "package://nowhere/meshes/x.dae"])
+def test_an_unknown_package_path_is_named(file):
+    parts = link("a"), joint("j", "a", "b")
+    robot = kinematics.load(urdf(*parts, link("b", collision(file))))
+    assert robot.notes == (f"1 mesh files absent, geometry left out (first: {file})",)
+    assert robot.body_mass[1] == 1
+    robot = kinematics.load(urdf(*parts, link("b", collision(file), inertial="")))
+    assert robot.topology.massless == ("b",)
+
+
+def test_a_moving_link_without_anything_has_kinematics_only():
+    robot = kinematics.load(
+        urdf(link("a"), link("b", inertial=""), link("c"), joint("j", "a", "b"), joint("k", "b", "c"))
+    )
+    assert robot.topology.massless == ("b",)
+    assert robot.body_mass[1] == 0
+
+
+def test_nameless_elements_get_free_names():
+    text = '<mujoco><worldbody><body><joint/><geom size=".1"/><site/></body><body name="body1"/></worldbody></mujoco>'
+    assert kinematics.load(text).frame_names == ("body2", "body1", "site:site0")
+
+
+def test_pictures_and_sensors_of_absent_files_do_not_matter():
+    text = (
+        '<mujoco><asset><texture name="t" type="2d" file="no.png"/><material name="m" texture="t"/>'
+        '<hfield name="h" file="no.png" size="1 1 1 1"/><skin file="no.skn"/></asset>'
+        '<worldbody><geom type="hfield" hfield="h"/><body><joint/><geom material="m" size=".1"/></body></worldbody>'
+        "</mujoco>"
+    )
+    assert kinematics.load(text).nq == 1
+
+
+BAD = {
+    "broken XML": ("<mujoco><worldbody></mujoco>", "robot text: MuJoCo cannot read it: .*MISMATCHED"),
+    "unknown attribute": ('<mujoco><worldbody><body nme="a"/></worldbody></mujoco>', "nme.*line 1"),
+    "name twice": ('<mujoco><worldbody><body name="a"/><body name="a"/></worldbody></mujoco>', "repeated name 'a'"),
+    "keyframe": (
+        '<mujoco><worldbody><body><joint/><geom size=".1"/></body></worldbody>'
+        '<keyframe><key name="home" qpos="1 2"/></keyframe></mujoco>',
+        "keyframe 'home': invalid qpos size, expected 1, got 2",
+    ),
+    "absent include": ('<mujoco><include file="nothere.xml"/></mujoco>', "nothere.xml"),
+    "other XML": ("<svg/>", r"not a robot: expected MJCF \(<mujoco>\) or URDF \(<robot>\), found '<svg/>'"),
+    "mimic of nobody": (
+        urdf(link("a"), link("b"), joint("j", "a", "b", inside='<mimic joint="i"/>')),
+        "joint 'j' mimics: joint 'i' does not exist; did you mean 'j'|known: j",
+    ),
+    "coupled in a circle": (
+        '<mujoco><worldbody><body><joint name="a"/><joint name="b" axis="1 0 0"/><geom size=".1"/></body></worldbody>'
+        '<equality><joint joint1="a" joint2="b"/><joint joint1="b" joint2="a"/></equality></mujoco>',
+        "coupled in a circle",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_robots_are_refused_with_a_reason(case):
+    text, reason = BAD[case]
+    with pytest.raises(InputError, match=reason):
+        kinematics.load(text)
+
+
+def test_files_that_are_no_robots(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nowhere.urdf: no such file"):
+        kinematics.load(tmp_path / "nowhere.urdf")
+    (tmp_path / "a.xml").write_text("hello\nworld")
+    with pytest.raises(InputError, match=r"a.xml: not a robot: .* found 'hello'"):
+        kinematics.load(tmp_path / "a.xml")
+    (tmp_path / "b.xml").write_bytes(b"")
+    with pytest.raises(InputError, match=r"b.xml: not a robot: .* found 'an empty file'"):
+        kinematics.load(tmp_path / "b.xml")
+
+
+def test_packaged_robots():
+    assert {"arm", "rover"} <= set(models.names())
+    with pytest.raises(InputError, match="packaged robot 'am' does not exist; did you mean 'arm'"):
+        models.path("am")
+    with pytest.raises(ValueError, match="joints: 0"):
+        models.chain(0)
