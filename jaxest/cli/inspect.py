@@ -37,13 +37,13 @@ def run(
 
 
 def is_robot(file: Path) -> bool:
-    """Guess whether a file is a robot rather than a log, by its suffix, else by how it begins.
+    """Tell a robot from a log by the suffix.
 
     Args:
         file: the file.
 
     Returns:
-        The guess.
+        Whether it is a robot.
 
     Raises:
         InputError: no such file, or it is neither.
@@ -52,12 +52,9 @@ def is_robot(file: Path) -> bool:
 
     existing(file)
     suffix = file.suffix.lower()
-    if suffix in (*ROBOTS, *LOGS):
-        return suffix in ROBOTS
-    with file.open("rb") as opened:
-        if opened.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-            return True
-    raise bad_input(f"{file}: neither a robot ({', '.join(ROBOTS)}) nor a log ({', '.join(LOGS)})")
+    if suffix not in (*ROBOTS, *LOGS):
+        raise bad_input(f"{file}: neither a robot ({', '.join(ROBOTS)}) nor a log ({', '.join(LOGS)})")
+    return suffix in ROBOTS
 
 
 def _robot(file: Path, json: bool) -> Answer:

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import turning
+from turning_imu import turning
 
 from jaxest.io import SensorLog, Stream, write
 

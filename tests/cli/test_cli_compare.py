@@ -2,8 +2,8 @@ import json
 
 import numpy as np
 import pytest
-from conftest import orientation
 from scipy.spatial.transform import Rotation
+from turning_imu import orientation
 
 from jaxest.io import SensorLog, Stream, write
 

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from conftest import orientation, turning
+from turning_imu import orientation, turning
 
 from jaxest.io import SensorLog, Stream, read, write
 from jaxest.metrics import orientation_error

@@ -1,0 +1,33 @@
+import pytest
+
+from jaxest import bench
+from jaxest.types import InputError
+
+
+def test_unknown_case():
+    with pytest.raises(InputError, match="did you mean 'orientation'"):
+        bench.rows("orientaton")
+
+
+@pytest.mark.parametrize("peers", ["installed", "absent", "unwanted"])
+def test_orientation(peers, monkeypatch):
+    if peers == "absent":
+        monkeypatch.setattr("jaxest.bench.orientation.find_peer", lambda name: None)
+    heard = []
+    rows = list(bench.rows("orientation", peers=peers != "unwanted", progress=heard.append, small=True))
+    assert heard
+    assert [row.metric for row in rows] == ["live step", "compile", "live step", "compile", "batched step", "compile"]
+    assert all(row.value > 0 for row in rows)
+    timed = [row for row in rows if row.metric != "compile"]
+    if peers == "installed":
+        pytest.importorskip("vqf")
+        assert all(row.ratio > 0 and row.reference > 0 and "VQF" in row.reference_name for row in timed)
+    else:
+        assert all(row.ratio is None for row in timed)
+        assert all((row.reference_name is not None) == (peers == "absent") for row in timed)
+
+
+def test_import():
+    (row,) = bench.rows("import", peers=False, small=True)
+    assert row.reference_name == "import jax"
+    assert row.value > 0
