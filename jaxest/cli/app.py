@@ -1,5 +1,6 @@
 """The application: its help and its commands, each of which lives in a file of its own."""
 
+import logging
 from typing import Annotated
 
 import typer
@@ -36,7 +37,8 @@ def _options(
     ] = False,
 ) -> None:
     """Estimates a robot's own body from its own sensors."""
+    logging.getLogger("jaxest").addHandler(logging.NullHandler())  # commands print a robot's notes themselves
 
 
 for module in (demo, inspect, estimate, compare, bench, doctor):
-    app.command(module.NAME, epilog=module.EXAMPLES)(module.run)
+    app.command(module.NAME, epilog="\n\n".join(("Examples:", *module.EXAMPLES)))(module.run)

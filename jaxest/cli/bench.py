@@ -1,5 +1,6 @@
 """`jaxest bench`: how fast it is on this machine, beside other programs."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -7,7 +8,7 @@ import typer
 from jaxest.cli.output import Answer, Json, Verbose, command, console, working
 
 NAME = "bench"
-EXAMPLES = "Examples:  [bold]jaxest bench orientation[/]   |   [bold]jaxest bench --no-peers --json > here.json[/]"
+EXAMPLES = ("jaxest bench orientation", "jaxest bench --no-peers --json > here.json")
 
 
 @command
@@ -21,6 +22,10 @@ def run(
     small: Annotated[
         bool, typer.Option("--small", help="Tiny sizes, to see that it runs; the figures mean nothing.")
     ] = False,
+    robot: Annotated[
+        list[Path] | None,
+        typer.Option("--robot", help="Another robot to measure (MJCF or URDF); may be given several times."),
+    ] = None,
     show: Annotated[bool, typer.Option("--list", help="Name the cases and leave.")] = False,
     json: Json = False,
     verbose: Verbose = False,
@@ -39,9 +44,10 @@ def run(
         out.print("\n".join(bench.CASES))
         return Answer()
     found = []
-    for case in [name] if name else bench.CASES:
+    robots = [str(file) for file in robot or ()]
+    for case in [name or "kinematics"] if name or robots else bench.CASES:
         with working(f"{case} ...") as say:
-            rows = list(bench.rows(case, peers=peers, progress=say, small=small))
+            rows = list(bench.rows(case, peers=peers, progress=say, small=small, robots=robots))
         if not json:
             out.print(figures(rows, case, timing=True))
         found += rows

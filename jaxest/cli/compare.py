@@ -9,8 +9,8 @@ from jaxest.cli.output import Answer, Json, Verbose, command, console, note
 
 NAME = "compare"
 EXAMPLES = (
-    "Examples:  [bold]jaxest compare jaxest-out/estimate.npz trial.npz[/]   |   "
-    "[bold]jaxest compare mine.csv theirs.npz --config theirs.toml --json[/]"
+    "jaxest compare jaxest-out/estimate.npz trial.npz",
+    "jaxest compare mine.csv theirs.npz --config theirs.toml --json",
 )
 
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from jaxest.io.report import Row
 
 NAME = "demo"
-EXAMPLES = "Examples:  [bold]jaxest demo[/]   |   [bold]jaxest demo --seed 3 -o demo --force[/]"
+EXAMPLES = ("jaxest demo", "jaxest demo --seed 3 -o demo --force")
 RATE, SECONDS, SENSORS = 100.0, 60.0, ("gyroscope", "accelerometer", "magnetometer")
 
 

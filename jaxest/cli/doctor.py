@@ -11,7 +11,7 @@ from rich.table import Table
 from jaxest.cli.output import Answer, Json, Verbose, command, console
 
 NAME = "doctor"
-EXAMPLES = "Examples:  [bold]jaxest doctor[/]   |   [bold]jaxest doctor --json[/] (to paste into a report of a bug)"
+EXAMPLES = ("jaxest doctor", "jaxest doctor --json")
 CORE = ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "optax", "typer", "rich")
 
 

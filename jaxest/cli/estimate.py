@@ -24,9 +24,9 @@ from jaxest.cli.output import (
 
 NAME = "estimate"
 EXAMPLES = (
-    "Examples:  [bold]jaxest estimate trial.npz --method orientation -o out[/]   |   "
-    "[bold]jaxest estimate log.csv -m orientation -c config.toml --start 10 --end 60 --force[/]   |   "
-    "[bold]jaxest estimate trial.npz -m orientation --sensors gyroscope,accelerometer[/]"
+    "jaxest estimate trial.npz --method orientation -o out",
+    "jaxest estimate trial.npz -m orientation --sensors gyroscope,accelerometer",
+    "jaxest estimate log.csv -m orientation -c config.toml --start 10 --end 60 --force",
 )
 
 

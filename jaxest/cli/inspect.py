@@ -12,8 +12,9 @@ if TYPE_CHECKING:
 
 NAME = "inspect"
 EXAMPLES = (
-    "Examples:  [bold]jaxest inspect panda.xml[/]   |   [bold]jaxest inspect trial.npz[/]   |   "
-    "[bold]jaxest inspect log.csv --config config.toml --json[/]"
+    "jaxest inspect panda.xml",
+    "jaxest inspect trial.npz",
+    "jaxest inspect log.csv --config config.toml --json",
 )
 ROBOTS = (".xml", ".mjcf", ".urdf")
 LOGS = (".npz", ".csv")

@@ -43,7 +43,8 @@ def console(stream: TextIO | None = None) -> Console:
 
 def note(text: str) -> None:
     """Print a dim line on standard error."""
-    console(sys.stderr).print(f"[dim]{escape(text)}[/]", soft_wrap=True)
+    err = console(sys.stderr)
+    err.print(f"[dim]{escape(text)}[/]", soft_wrap=not err.is_terminal)
 
 
 def warn(text: str) -> None:

@@ -114,7 +114,7 @@ def _joints(facts: dict[str, Any]) -> Table:
         if joint["axis"]:
             axis = " ".join(number(part) for part in np.round(joint["axis"], 6) + 0.0)
             low, high = joint["limits"]
-            limits = "none" if low is high is None else f"{number(low)} .. {number(high)} {joint['unit']}"
+            limits = "none" if low is high is None else f"{number(low, 4)} .. {number(high, 4)} {joint['unit']}"
         home = " ".join(number(part) for part in joint["home"])
         lines.append(
             (str(joint["q"]), joint["name"], joint["kind"], axis, limits, home, leaders.get(joint["name"], ""))

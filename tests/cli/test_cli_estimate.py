@@ -103,6 +103,19 @@ def test_somebody_elses_layout_and_units(invoke, tmp_path):
     assert worst_deg(item.value, orientation(item.time), "inclination") < 0.3
 
 
+def test_csv(invoke, tmp_path):
+    log = turning()
+    gyroscope, accelerometer = (log.streams[name].value for name in ("gyroscope", "accelerometer"))
+    table = np.column_stack([np.arange(200) * 10, gyroscope, accelerometer])
+    header = "time_ms,gyr_x,gyr_y,gyr_z,acc_x,acc_y,acc_z"
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header=header, comments="")
+    result = invoke("estimate", "a.csv", *ESTIMATE)
+    assert result.exit_code == 0, result.output
+    item = read(tmp_path / "out" / "estimate.npz").streams["orientation"]
+    assert item.time[-1] == pytest.approx(1.99)
+    assert worst_deg(item.value, orientation(item.time), "inclination") < 0.3
+
+
 def test_own_layout_in_other_units(invoke, tmp_path):
     log = turning()
     item = log.streams["gyroscope"]._replace(value=np.rad2deg(log.streams["gyroscope"].value), unit="deg/s")
