@@ -8,10 +8,10 @@ Not here: accuracy, which is tested in `tests/` and measured on recordings by th
 """
 
 import importlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from jaxest.types import unknown_name
+from jaxest.types import InputError, unknown_name
 
 if TYPE_CHECKING:
     from jaxest.io.report import Row
@@ -25,7 +25,12 @@ CASES = {
 
 
 def rows(
-    name: str, *, peers: bool = True, progress: Callable[[str], None] | None = None, small: bool = False
+    name: str,
+    *,
+    peers: bool = True,
+    progress: Callable[[str], None] | None = None,
+    small: bool = False,
+    robots: Sequence[str] = (),
 ) -> Iterable["Row"]:
     """Run one case.
 
@@ -34,6 +39,7 @@ def rows(
         peers: whether to run other programs beside it.
         progress: hears what is being measured.
         small: sizes that a test can afford; the figures mean nothing then.
+        robots: MJCF or URDF files to measure beside the packaged ones, where the case is about robots.
 
     Returns:
         The rows, one at a time as they are measured.
@@ -43,8 +49,11 @@ def rows(
     """
     if name not in CASES:
         raise unknown_name("benchmark", name, CASES)
+    if robots and name != "kinematics":
+        raise InputError(f"benchmark {name!r} is not about robots, got {', '.join(robots)}")
     module = importlib.import_module(CASES[name])
-    return module.rows(peers=peers, progress=progress or (lambda message: None), small=small)
+    options = {"robots": tuple(robots)} if robots else {}
+    return module.rows(peers=peers, progress=progress or (lambda message: None), small=small, **options)
 
 
 __all__ = ["CASES", "rows"]

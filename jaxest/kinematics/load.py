@@ -47,6 +47,22 @@ def load(source: str | Path | mujoco.MjModel) -> Robot:
     return _robot(model, massless, tuple(notes))
 
 
+def compile_model(source: str | Path) -> mujoco.MjModel:
+    """Compile the same file for MuJoCo's own functions, with the same things left out and fixed bodies kept.
+
+    Args:
+        source: path of an MJCF or URDF file, or its text.
+
+    Returns:
+        MuJoCo's model; bodies without inertia have a stand-in of 1 kg.
+
+    Raises:
+        FileNotFoundError: no such file.
+        InputError: the file is no robot, or MuJoCo cannot compile it.
+    """
+    return _compile(*_read(source))[0]
+
+
 def _read(source: str | Path) -> tuple[str, Any]:
     """Parse a file or a text; return a name for messages and MuJoCo's editable model."""
     import mujoco

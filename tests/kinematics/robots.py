@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 
 from jaxest import models
-from jaxest.kinematics.load import _compile, _read
 
 PACKAGED = [*models.names(), "chain7"]
 SHARED = [
@@ -31,11 +30,6 @@ def source(name, shared=None):
     if name.startswith("chain"):
         return models.chain(int(name.removeprefix("chain")))
     return shared / "robots" / name
-
-
-def compiled(src):
-    """Compile a robot as `load` does (static bodies kept) for MuJoCo's own functions."""
-    return _compile(*_read(src))[0]
 
 
 def states(model, count, seed=0):

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from robots import compiled, source, states
+from robots import compile_model, source, states
 
 from jaxest import kinematics, models
 from jaxest.types import InputError
@@ -33,7 +33,7 @@ def test_gradient_in_q_and_in_every_leaf(name, x64, request):
     src = source(name, request.getfixturevalue("shared") if name.endswith(".xml") else None)
     robot = kinematics.load(src)
     robot = dataclasses.replace(robot, **dict.fromkeys(("home", "limits"), 0.0))  # infinite, and used by nothing here
-    q = states(compiled(src), 1, seed=3)[0]
+    q = states(compile_model(src), 1, seed=3)[0]
     value = jax.jit(everything)
     found_robot, found_q = jax.jit(jax.grad(everything, argnums=(0, 1)))(robot, q)
     step = 1e-6
@@ -56,7 +56,7 @@ def test_gradient_in_q_and_in_every_leaf(name, x64, request):
 
 def test_forward_mode_reverse_mode_and_hessian_agree(x64):
     robot = kinematics.load(models.path("rover"))
-    q = jnp.asarray(states(compiled(models.path("rover")), 1)[0])
+    q = jnp.asarray(states(compile_model(models.path("rover")), 1)[0])
 
     def position(q):
         return kinematics.forward(robot, q, ("palm", "site:head_imu")).position.ravel()
@@ -119,7 +119,7 @@ def test_payload_adds_up_as_mujoco_does(x64):
 
 def test_jit_vmap_and_eager_agree_and_trace_once(dtype):
     robot = kinematics.load(models.path("rover"))
-    q = states(compiled(models.path("rover")), 4).astype(dtype)
+    q = states(compile_model(models.path("rover")), 4).astype(dtype)
     traces = []
 
     @jax.jit

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 import pytest
-from robots import PACKAGED, SHARED, answers, compiled, distance, same_sign, source, states
+from robots import PACKAGED, SHARED, answers, compile_model, distance, same_sign, source, states
 
 from jaxest import kinematics
 
@@ -14,7 +14,7 @@ NAMES = [*PACKAGED, *(pytest.param(name, marks=pytest.mark.recorded) for name in
 @pytest.mark.parametrize("name", NAMES)
 def test_agrees_with_mujoco(name, dtype, request):
     src = source(name, request.getfixturevalue("shared") if name in SHARED else None)
-    model = compiled(src)
+    model = compile_model(src)
     robot = kinematics.load(src)
     count = len(robot.frame_names)
     frames = (count - 1, model.nbody - 2, count // 2)

@@ -1,0 +1,190 @@
+"""Batched forward kinematics and its gradient beside MuJoCo, Pinocchio and MJX."""
+
+import contextlib
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxest import kinematics, models
+from jaxest.bench.harness import Candidate, Progress, Timing, candidate, compare, compile_row, find_peer, race
+from jaxest.io.report import Row
+from jaxest.kinematics.fold import carriers
+from jaxest.kinematics.load import compile_model
+
+NO_FUSION = {"xla_cpu_use_fusion_emitters": False}  # without it XLA on CPU recomputes a chain exponentially often
+
+
+class Subject(NamedTuple):
+    """A robot to be timed."""
+
+    name: str
+    robot: kinematics.Robot
+    model: Any
+    """compiled by MuJoCo"""
+    pinocchio: Any
+    """Pinocchio's model, or None"""
+    q: np.ndarray
+    """(batch, nq) float64"""
+
+
+def rows(*, peers: bool, progress: Progress, small: bool = False, robots: Sequence[str] = ()) -> Iterable[Row]:
+    """Time plain `jax.jit(jax.vmap(forward))` in float32 for serial arms of 7, 20 and 50 joints and for robots.
+
+    MuJoCo and Pinocchio are called in a Python loop that only sets q and calls; Pinocchio's Python package has no
+    threaded forward kinematics to compare with. A gradient's reference is the forward of the same frame.
+
+    Args:
+        peers: whether to run MuJoCo, Pinocchio and MJX.
+        progress: hears what is being measured.
+        small: 16 configurations of one arm.
+        robots: further robots, as files.
+
+    Yields:
+        Times per configuration for all frames, for two, for one and its gradient, and the times to compile.
+    """
+    batch = 16 if small else 2048
+    sources: list[tuple[str, str | Path]] = [
+        (f"chain of {n}", models.chain(n)) for n in ((7,) if small else (7, 20, 50))
+    ]
+    if not small:
+        sources += [(name, models.path(name)) for name in models.names()]
+    sources += [(Path(file).name, file) for file in robots]
+    for name, source in sources:
+        progress(name)
+        yield from _robot_rows(_subject(name, source, batch, peers), peers, 2 if small else 15)
+    if peers and not small:
+        progress("mjx.kinematics")
+        yield from _mjx_rows(batch)
+
+
+def _subject(name: str, source: str | Path, batch: int, peers: bool) -> Subject:
+    robot, model = kinematics.load(source), compile_model(source)
+    pinocchio = find_peer("pinocchio") if peers else None
+    theirs = None
+    if pinocchio is not None:
+        # Pinocchio reads neither every MJCF nor what is not a file; then it has no row for this robot.
+        with contextlib.suppress(Exception), contextlib.redirect_stderr(io.StringIO()):
+            build = pinocchio.buildModelFromUrdf if str(source).endswith(".urdf") else pinocchio.buildModelFromMJCF
+            theirs = build(str(source)) if theirs is None else theirs
+    q = np.random.default_rng(0).uniform(-2, 2, (batch, robot.nq))
+    return Subject(name, robot, model, theirs if theirs is not None and theirs.nq == robot.nq else None, q)
+
+
+def _robot_rows(subject: Subject, peers: bool, repeats: int) -> Iterable[Row]:
+    robot, q = subject.robot, jnp.asarray(subject.q, jnp.float32)
+    batch, robot_frames = len(q), len(robot.frame_names)
+    pair = two_frames(robot)
+
+    def poses(frames: Any) -> Any:
+        return jax.jit(jax.vmap(lambda q: kinematics.forward(robot, q, frames)))
+
+    def reach(q: jax.Array) -> jax.Array:
+        return kinematics.forward(robot, q, pair[:1]).position[0] @ jnp.array([0.3, 0.4, 0.5], q.dtype)
+
+    weights = [np.linspace(-1, 1, robot_frames * k, dtype=np.float32).reshape(-1, k) for k in (3, 4)]
+
+    def spread(q: jax.Array) -> jax.Array:
+        position, quaternion = kinematics.forward(robot, q)
+        return jnp.vdot(weights[0], position) + jnp.vdot(weights[1], quaternion)
+
+    candidates = [
+        candidate("all", poses(None), q, items=batch),
+        candidate("two", poses(pair), q, items=batch),
+        candidate("one", poses(pair[:1]), q, items=batch),
+        candidate("gradient", jax.jit(jax.vmap(jax.grad(reach))), q, items=batch),
+        candidate("gradient of all", jax.jit(jax.vmap(jax.grad(spread))), q, items=batch),
+    ]
+    if peers:
+        candidates.append(Candidate("MuJoCo in a loop", lambda: _mujoco_loop(subject), batch))
+    if subject.pinocchio is not None:
+        candidates.append(Candidate("Pinocchio in a loop", lambda: _pinocchio_loop(subject), batch))
+    found = race(candidates, repeats=repeats)
+    mujoco, pinocchio = found.get("MuJoCo in a loop"), found.get("Pinocchio in a loop")
+    for name, what in (("all", f"all {robot_frames} frames"), ("two", "two frames")):
+        condition = f"{subject.name}, {what}, {batch} configurations, float32"
+        yield compare("forward kinematics", condition, found[name], mujoco)
+        if pinocchio is not None:
+            yield compare("forward kinematics", condition, found[name], pinocchio)
+    one = found["one"]._replace(name="forward of the same frame")
+    yield compare("gradient of a position", f"{subject.name}, {batch} configurations", found["gradient"], one)
+    forward = found["all"]._replace(name="forward of all frames")
+    yield compare(
+        "gradient of all frames", f"{subject.name}, {batch} configurations", found["gradient of all"], forward
+    )
+    for name, what in (("all", "forward of all frames"), ("gradient of all", "gradient of all frames")):
+        yield compile_row(f"{subject.name}, {what}", found[name])
+
+
+def two_frames(robot: kinematics.Robot) -> tuple[int, int]:
+    """Choose two bodies far out on a robot: the one with most joints before it, and one on another branch.
+
+    Args:
+        robot: the robot.
+
+    Returns:
+        Their frames; on a chain the second is its middle.
+    """
+    carried = carriers(robot.topology)
+    above: list[tuple[int, ...]] = []
+    for joint in carried.frame[: len(robot.topology.body_names)]:
+        path = []
+        while joint >= 0:
+            path.append(joint)
+            joint = carried.joint[joint]
+        above.append(tuple(path))
+    first = max(range(len(above)), key=lambda body: len(above[body]))
+    beside = [b for b in range(len(above)) if above[b] and above[b][0] not in above[first]]
+    if beside:
+        return first, max(beside, key=lambda body: len(above[body]))
+    return first, max(b for b in range(len(above)) if 2 * len(above[b]) <= len(above[first]))
+
+
+def _mujoco_loop(subject: Subject) -> None:
+    import mujoco
+
+    model, data = subject.model, mujoco.MjData(subject.model)
+    call = mujoco.mj_kinematics
+    for q in subject.q:
+        data.qpos[:] = q
+        call(model, data)
+
+
+def _pinocchio_loop(subject: Subject) -> None:
+    pinocchio = find_peer("pinocchio")
+    assert pinocchio is not None
+    model, data = subject.pinocchio, subject.pinocchio.createData()
+    call = pinocchio.forwardKinematics
+    for q in subject.q:
+        call(model, data, q)
+
+
+def _mjx_rows(batch: int) -> Iterable[Row]:
+    with contextlib.redirect_stdout(io.StringIO()):  # it tells on standard output what it has not found
+        from mujoco import mjx
+    for joints, options, what in ((4, None, "plain"), (7, NO_FUSION, "without fusion emitters")):
+        robot, model = kinematics.load(models.chain(joints)), compile_model(models.chain(joints))
+        theirs = mjx.put_model(model)
+        blank = mjx.make_data(theirs)
+        q = jnp.asarray(np.random.default_rng(0).uniform(-2, 2, (batch, joints)), jnp.float32)
+
+        def pose(q: jax.Array, theirs: Any = theirs, blank: Any = blank) -> Any:
+            data = mjx.kinematics(theirs, blank.replace(qpos=q))
+            return data.xpos, data.xquat
+
+        ours = jax.jit(jax.vmap(lambda q, robot=robot: kinematics.forward(robot, q)))
+        found: dict[str, Timing] = race(
+            [
+                candidate("forward", ours, q, items=batch),
+                candidate("mjx", jax.jit(jax.vmap(pose), compiler_options=options), q, items=batch),
+            ],
+            repeats=10,
+        )
+        peer = found["mjx"]._replace(name=f"mjx.kinematics, {what}")
+        condition = f"chain of {joints}, all frames, {batch} configurations, float32"
+        yield compare("forward kinematics", condition, found["forward"], peer)
+        yield compile_row(f"mjx.kinematics, {what}, chain of {joints}", peer)
