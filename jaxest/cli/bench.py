@@ -8,7 +8,7 @@ import typer
 from jaxest.cli.output import Answer, Json, Verbose, command, console, working
 
 NAME = "bench"
-EXAMPLES = ("jaxest bench orientation", "jaxest bench --no-peers --json > here.json")
+EXAMPLES = ("jaxest bench orientation", "jaxest bench kinematics --robot panda.xml", "jaxest bench --no-peers --json")
 
 
 @command

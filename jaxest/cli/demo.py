@@ -1,4 +1,4 @@
-"""`jaxest demo`: an IMU is simulated and its orientation estimated, in a few seconds."""
+"""`jaxest demo`: an IMU on a moving arm is simulated and its orientation estimated, in a few seconds."""
 
 import importlib.util
 import time
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
 NAME = "demo"
 EXAMPLES = ("jaxest demo", "jaxest demo --seed 3 -o demo --force")
-RATE, SECONDS, SENSORS = 100.0, 60.0, ("gyroscope", "accelerometer", "magnetometer")
+RATE, SECONDS, FRAME = 200.0, 60.0, "site:imu3"
+SENSORS = ("gyroscope", "accelerometer", "magnetometer")
 
 
 @command
@@ -29,7 +30,7 @@ def run(
     json: Json = False,
     verbose: Verbose = False,
 ) -> Answer:
-    """Simulate a minute of a turning, shaken IMU, estimate its orientation with 6 and 9 axes, show how wrong it is."""
+    """Move a simulated arm for a minute, estimate the orientation of the IMU on it, show how wrong that is."""
     del verbose
     from jaxest.cli.tables import figures
     from jaxest.io.report import Row, report, to_json
@@ -37,7 +38,7 @@ def run(
     picture = _picture(out, force)
     begun = time.perf_counter()
     with working("simulating and estimating ..."):
-        simulated = simulate(seed)
+        simulated = simulate(seed, SECONDS)
         results = {axes: estimate(*simulated, axes) for axes in (6, 9)}
     rows = [row for rows, _ in results.values() for row in rows]
     rows.append(Row("run time", "simulation and two estimates, compilation included", time.perf_counter() - begun, "s"))
@@ -47,14 +48,14 @@ def run(
     if json:
         return Answer(to_json(report(NAME, rows)))
     page = console()
-    page.print(figures(rows, f"{SECONDS:g} s of a simulated IMU, {RATE:g} Hz"))
+    page.print(figures(rows, f"an IMU on the forearm of the packaged arm, simulated for {SECONDS:g} s at {RATE:g} Hz"))
     page.print(f"wrote {picture}" if picture else "no picture: pip install 'jaxest\\[viz]'", soft_wrap=True)
     note("next: jaxest inspect FILE, jaxest estimate LOG --method orientation")
     return Answer()
 
 
-def simulate(seed: int, seconds: float = SECONDS) -> "tuple[Any, NDArray[Any]]":
-    """Simulate an IMU with a magnetometer that is turned and shaken.
+def simulate(seed: int, seconds: float) -> "tuple[Any, NDArray[Any]]":
+    """Move the packaged arm at random and record the IMU on its forearm.
 
     Args:
         seed: of all that is random.
@@ -66,12 +67,13 @@ def simulate(seed: int, seconds: float = SECONDS) -> "tuple[Any, NDArray[Any]]":
     import jax
     import numpy as np
 
-    from jaxest.systems import orientation
+    from jaxest import kinematics, models
+    from jaxest.simulate import imu, trajectories
 
-    system = orientation.build(sensors=SENSORS)
-    params = jax.tree.map(np.float32, system.default_params)
-    draw = jax.jit(partial(system.simulate, steps=round(seconds * RATE), rate_hz=RATE, shaking=0.5))
-    measurements, truth = draw(params, key=jax.random.key(seed))
+    robot = kinematics.load(models.path("arm"))
+    moves, noise = jax.random.split(jax.random.key(seed))
+    motion = partial(trajectories.configuration, trajectories.random_motion(moves, robot, reach=0.3))
+    measurements, truth = imu.record(robot, motion, FRAME, key=noise, duration=seconds, rate_hz=RATE)
     return measurements, np.asarray(truth.quaternion)
 
 
@@ -104,8 +106,8 @@ def estimate(measurements: Any, truth: "NDArray[Any]", axes: int) -> "tuple[list
     def draw(path: Path) -> None:
         from jaxest.viz import orientation as picture
 
-        time = np.arange(1, len(truth) + 1) / RATE
-        title = f"jaxest demo: simulated IMU, {axes} axes"
+        time = np.arange(len(truth)) / RATE
+        title = f"jaxest demo: IMU on the forearm of an arm, simulated, {axes} axes"
         picture.draw(path, time, quaternion, covariance, truth=truth, heading=heading, title=title)
 
     return rows, draw

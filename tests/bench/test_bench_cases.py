@@ -9,6 +9,11 @@ def test_unknown_case():
         bench.rows("orientaton")
 
 
+def test_robots_are_for_kinematics():
+    with pytest.raises(InputError, match=r"is not about robots, got panda\.xml"):
+        bench.rows("orientation", robots=["panda.xml"])
+
+
 @pytest.mark.parametrize("peers", ["installed", "absent", "unwanted"])
 def test_orientation(peers, monkeypatch):
     if peers == "absent":

@@ -9,7 +9,7 @@ def test_cases_are_listed(invoke):
 
 
 def test_rows(invoke, monkeypatch):
-    def rows(name, *, peers, progress, small):
+    def rows(name, *, peers, progress, small, robots):
         progress("now")
         assert (peers, small) == (False, True)
         yield Row("step", name, 2.0, "us", spread=0.1, n=5, reference=20.0, reference_name="peer", ratio=10.0)
