@@ -40,7 +40,7 @@ def build(
         robot: not used, an IMU needs none; here because every system takes one.
         sensors: which there are, of `gyroscope`, `accelerometer`, `magnetometer`; the first two are needed.
         update: how a step turns the estimate, `exponential` or `projection` of `jaxest.filters.complementary`.
-        covariance: whether states and infos carry a covariance (about twice the work).
+        covariance: whether states and infos carry a covariance (several times the work in a batch).
 
     Returns:
         The system. Its measurement is `complementary.Imu` (the magnetometer None without one); its parameters are
