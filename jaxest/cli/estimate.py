@@ -59,6 +59,7 @@ def run(
     from jaxest.cli.tables import figures
     from jaxest.cli.window import windowed
     from jaxest.io import read, write
+    from jaxest.io.files import replacing
     from jaxest.io.report import Row, report, to_json
 
     if method not in methods.METHODS:
@@ -78,7 +79,8 @@ def run(
     text = to_json(report(method, rows))
     out.mkdir(parents=True, exist_ok=True)
     write(outcome.estimate, targets[0], overwrite=force)
-    targets[1].write_text(text + "\n")
+    with replacing(targets[1], overwrite=force) as file:
+        file.write(f"{text}\n".encode())
     if len(targets) > 2 and outcome.draw:
         outcome.draw(targets[2], f"{log.stem}: {method}")
     for line in outcome.refused:
