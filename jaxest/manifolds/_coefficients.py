@@ -1,8 +1,9 @@
 """Scalar functions of the squared rotation angle s = t^2, right to a few eps with their derivatives.
 
-Every one is smooth in s, also at 0: a Taylor polynomial below `SWITCH`, the closed form above, where nothing cancels
-any more. The closed forms alone lose eps/t^2 in value and more in each derivative; a Taylor polynomial of two terms,
-switched at a small angle, loses as much on its other side. How many terms the polynomial needs depends on the dtype.
+Every one is smooth in s, also at 0: a Taylor polynomial below `SWITCH`, the closed form above. The closed forms lose
+eps/t^2 in value and more in each derivative, and a polynomial of two terms that is switched at a small angle loses as
+much on its other side. So the polynomial, of as many terms as the dtype can see, serves up to half a turn: no term
+there is large against the sum, and no switch falls between two rotations that `log` can return.
 """
 
 import math
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 
 from jaxest.types import Array
 
-SWITCH = 10.0
+SWITCH = 10.0  # just above pi^2
 _SPARE = 3  # terms beyond those the value needs: each derivative needs about one more
 
 

@@ -37,7 +37,8 @@ def _wrap(angle: Array) -> Array:
     rest = 2 * math.pi - float(turn) + _TWO_PI_REST
     count = jnp.floor((angle + pi) / turn)
     wrapped = (angle - count * turn) - count * rest
-    return jnp.where((wrapped < -pi) | (wrapped >= pi), -pi, wrapped)
+    wrapped = jnp.where((wrapped < -pi) | (wrapped >= pi), -pi, wrapped)
+    return jnp.where((angle >= -pi) & (angle < pi), angle, wrapped)
 
 
 @_wrap.defjvp

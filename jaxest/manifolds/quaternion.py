@@ -3,6 +3,8 @@
 `q` and `-q` are the same rotation everywhere. `R(q) p` maps coordinates of the source frame to the destination's.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
@@ -17,6 +19,14 @@ from jaxest.manifolds._algebra import (
     right_jacobian_inverse,
     skew,
     solve3,
+)
+from jaxest.manifolds._conversions import (
+    from_axis_angle,
+    from_matrix,
+    from_two_vectors,
+    longest_row,
+    normalize,
+    to_matrix,
 )
 from jaxest.manifolds.base import as_array, normalized
 from jaxest.types import Array, ArrayLike
@@ -107,14 +117,6 @@ def inverse(q: ArrayLike) -> Array:
     return jnp.concatenate([q[:1], -q[1:]])
 
 
-def normalize(q: ArrayLike) -> Array:
-    """Return the quaternion (4,) scaled to length 1, zero becoming no rotation; raises ValueError for another shape."""
-    q = as_array("q", q, 4)
-    length2 = dot(q, q)
-    some = length2 > 0
-    return jnp.where(some, q, identity(q.dtype)) / jnp.sqrt(jnp.where(some, length2, 1.0))
-
-
 def rotate(q: ArrayLike, p: ArrayLike) -> Array:
     """Rotate a vector.
 
@@ -131,91 +133,6 @@ def rotate(q: ArrayLike, p: ArrayLike) -> Array:
     q, p = as_array("q", q, 4), as_array("p", p, 3)
     twice = 2 * cross(q[1:], p)
     return p + q[0] * twice + cross(q[1:], twice)
-
-
-def to_matrix(q: ArrayLike) -> Array:
-    """Return the rotation matrix (3, 3) of a unit quaternion (4,); raises ValueError for another shape."""
-    q = as_array("q", q, 4)
-    (w, x, y, z), t = q, 2 * q
-    tx, ty, tz = t[1:]
-    rows = [
-        1 - ty * y - tz * z, tx * y - tz * w, tx * z + ty * w,
-        tx * y + tz * w, 1 - tx * x - tz * z, ty * z - tx * w,
-        tx * z - ty * w, ty * z + tx * w, 1 - tx * x - ty * y,
-    ]  # fmt: skip
-    return jnp.stack(rows).reshape(3, 3)
-
-
-def _longest_row(outer: Array) -> Array:
-    """Return the unit vector q, w >= 0, of a matrix (4, 4) near a multiple of q q^T, from its longest row."""
-    w, x, y, z = jnp.diagonal(outer)
-    upper = jnp.where(w >= x, outer[0], outer[1])
-    lower = jnp.where(y >= z, outer[2], outer[3])
-    row = normalize(jnp.where(jnp.maximum(w, x) >= jnp.maximum(y, z), upper, lower))
-    return jnp.where(row[0] < 0, -row, row)
-
-
-def from_matrix(matrix: ArrayLike) -> Array:
-    """Return the quaternion of a rotation matrix, equally right at every angle.
-
-    Args:
-        matrix: (3, 3) rotation matrix.
-
-    Returns:
-        (4,) unit quaternion with w >= 0.
-
-    Raises:
-        ValueError: the shape is wrong.
-
-    Source: Shepperd 1978 (Quaternion from rotation matrix): of the four rows of 4 q q^T take the longest.
-    """
-    (a, b, c), (d, e, f), (g, h, i) = as_array("matrix", matrix, 3, 3)
-    rows = [
-        1 + a + e + i, h - f, c - g, d - b,
-        h - f, 1 + a - e - i, b + d, c + g,
-        c - g, b + d, 1 - a + e - i, f + h,
-        d - b, c + g, f + h, 1 - a - e + i,
-    ]  # fmt: skip
-    return _longest_row(jnp.stack(rows).reshape(4, 4))
-
-
-def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> Array:
-    """Return the rotation about an axis.
-
-    Args:
-        axis: (3,) unit vector.
-        angle: () rad.
-
-    Returns:
-        (4,) unit quaternion.
-
-    Raises:
-        ValueError: a shape is wrong.
-    """
-    axis, half = as_array("axis", axis, 3), as_array("angle", angle) / 2
-    return jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * axis])
-
-
-def from_two_vectors(a: ArrayLike, b: ArrayLike) -> Array:
-    """Return the shortest rotation that turns `a` into `b`.
-
-    Args:
-        a: (3,) unit vector.
-        b: (3,) unit vector.
-
-    Returns:
-        (4,) unit quaternion; for opposite vectors half a turn about some axis across them.
-
-    Raises:
-        ValueError: a shape is wrong.
-    """
-    a, b = as_array("a", a, 3), as_array("b", b, 3)
-    # |a + b|^2 / 2 is 1 + a.b without its cancellation.
-    q = jnp.concatenate([dot(a + b, a + b)[None] / 2, cross(a, b)])
-    opposite = dot(q, q) < 16 * float(jnp.finfo(q.dtype).eps) ** 2
-    thin = jnp.abs(a[0]) < 0.6
-    along = jnp.stack([jnp.where(thin, 1.0, 0.0), jnp.where(thin, 0.0, 1.0), jnp.zeros(())]).astype(a.dtype)
-    return normalize(jnp.where(opposite, jnp.concatenate([jnp.zeros_like(q[:1]), cross(a, along)]), q))
 
 
 def adjoint(x: ArrayLike) -> Array:
@@ -270,7 +187,7 @@ def mean(xs: ArrayLike, weights: ArrayLike | None = None, *, iterations: int = 4
         iterations: Newton steps, static; 4 reach float64 precision for samples within a quarter turn of their mean.
 
     Returns:
-        (4,) unit quaternion; first and second derivatives are those of the exact mean.
+        (4,) unit quaternion; its derivatives are those of the exact mean.
 
     Raises:
         ValueError: a shape is wrong.
@@ -279,23 +196,46 @@ def mean(xs: ArrayLike, weights: ArrayLike | None = None, *, iterations: int = 4
     the derivative of log(exp(-d) exp(v)) is -left_jacobian_inverse(v), summed over the samples.
     """
     xs = as_array("xs", xs, None, 4)
-    weights = normalized(weights, xs)
+    return _mean(iterations, xs, normalized(weights, xs))
+
+
+def _residual(m: Array, xs: Array, weights: Array) -> tuple[Array, Array]:
+    """Return the weighted sum (3,) of the differences from `m`, and the differences (N, 3)."""
+    vs = jax.vmap(local, (None, 0))(m, xs)
+    return jnp.sum(weights[:, None] * vs, axis=0), vs
+
+
+def _newton(residual: Array, vs: Array, weights: Array) -> Array:
+    """Return how far (3,) to move `m` so that a `residual` vanishes: its slope is a sum of inverse Jacobians."""
+    bends = weights * jax.vmap(lambda v: coefficient.inverse_jacobian(dot(v, v)))(vs)
+    square = jnp.sum(bends[:, None, None] * vs[:, :, None] * vs[:, None, :], axis=0)
+    centre = jnp.sum(weights[:, None] * vs, axis=0)
+    eye = jnp.eye(3, dtype=vs.dtype)
+    return solve3(eye - skew(centre) / 2 + square - jnp.trace(square) * eye, residual)
+
+
+@functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _mean(iterations: int, xs: Array, weights: Array) -> Array:
     moment = jnp.sum(weights[:, None, None] * xs[:, :, None] * xs[:, None, :], axis=0)
     for _ in range(4):
         moment = matmul(moment, moment)
         trace = jnp.trace(moment)
         moment = moment / jnp.where(trace == 0, 1.0, trace)
 
-    def newton(_: int, m: Array) -> Array:
-        vs = jax.vmap(local, (None, 0))(m, xs)
-        bends = weights * jax.vmap(lambda v: coefficient.inverse_jacobian(dot(v, v)))(vs)
-        residual = jnp.sum(weights[:, None] * vs, axis=0)
-        square = jnp.sum(bends[:, None, None] * vs[:, :, None] * vs[:, None, :], axis=0)
-        eye = jnp.eye(3, dtype=xs.dtype)
-        return retract(m, solve3(eye - skew(residual) / 2 + square - jnp.trace(square) * eye, residual))
+    def step(_: int, m: Array) -> Array:
+        residual, vs = _residual(m, xs, weights)
+        return retract(m, _newton(residual, vs, weights))
 
-    # A Newton step forgets the derivative of where it started, so none has to flow through the start.
-    return jax.lax.fori_loop(0, iterations, newton, jax.lax.stop_gradient(_longest_row(moment)))
+    return jax.lax.fori_loop(0, iterations, step, longest_row(moment))
+
+
+@_mean.defjvp
+def _(iterations: int, primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Differentiate the equation that the mean solves, not the way to the solution."""
+    m = _mean(iterations, *primals)
+    (_, vs), (moved, _) = jax.jvp(functools.partial(_residual, m), primals, tangents)
+    turn = _newton(moved, vs, primals[1]) / 2
+    return m, compose(m, jnp.concatenate([jnp.zeros_like(turn[:1]), turn]))
 
 
 __all__ = [

@@ -130,3 +130,17 @@ def rotation_mean(qs: np.ndarray, weights: np.ndarray, steps: int = 300) -> np.n
         mean = hamilton(mean, np.concatenate([[np.cos(angle / 2)], np.sinc(angle / 2 / np.pi) * step / 2]))
         mean /= np.linalg.norm(mean)
     return mean
+
+
+def quaternion_exp(v: np.ndarray) -> np.ndarray:
+    """The quaternion wxyz of a rotation vector, float64 from extended precision."""
+    v = v.astype(np.longdouble)
+    angle = np.sqrt(v @ v)
+    factor = np.sin(angle / 2) / angle if angle > 0 else np.longdouble(0.5)
+    return np.array([np.cos(angle / 2), *(factor * v)], np.float64)
+
+
+def quaternion_matrix(q: np.ndarray) -> np.ndarray:
+    """The rotation matrix of a unit quaternion wxyz, column by column."""
+    columns = [hamilton(hamilton(q, np.array([0, *e])), q * [1, -1, -1, -1])[1:] for e in np.eye(3)]
+    return np.stack(columns, axis=1)
