@@ -6,14 +6,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from robots import compile_model, source, states
+from robots import source, states
 
 from jaxest import kinematics, models
+from jaxest.kinematics.load import compile_model
 from jaxest.types import InputError
 
 ROBOTS = ["arm", "rover", pytest.param("panda.xml", marks=pytest.mark.recorded)]
 
 MATTER = ("body_position", "body_quaternion", "body_mass", "body_com", "joint_axis", "joint_reference", "gravity")
+QUICK = {
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_use_fusion_emitters": False,
+}  # these compile longer than they run
 
 
 def everything(robot, q):
@@ -34,8 +39,8 @@ def test_gradient_in_q_and_in_every_leaf(name, x64, request):
     robot = kinematics.load(src)
     robot = dataclasses.replace(robot, **dict.fromkeys(("home", "limits"), 0.0))  # infinite, and used by nothing here
     q = states(compile_model(src), 1, seed=3)[0]
-    value = jax.jit(everything)
-    found_robot, found_q = jax.jit(jax.grad(everything, argnums=(0, 1)))(robot, q)
+    value = jax.jit(everything, compiler_options=QUICK)
+    found_robot, found_q = jax.jit(jax.grad(everything, argnums=(0, 1)), compiler_options=QUICK)(robot, q)
     step = 1e-6
     along = direction(q, 0)
     expected = float(value(robot, q + step * along) - value(robot, q - step * along)) / (2 * step)
@@ -61,13 +66,15 @@ def test_forward_mode_reverse_mode_and_hessian_agree(x64):
     def position(q):
         return kinematics.forward(robot, q, ("palm", "site:head_imu")).position.ravel()
 
-    back_of = jax.jit(jax.jacrev(position))
-    ahead, back = jax.jit(jax.jacfwd(position))(q), back_of(q)
+    back_of = jax.jit(jax.jacrev(position), compiler_options=QUICK)
+    ahead, back = jax.jit(jax.jacfwd(position), compiler_options=QUICK)(q), back_of(q)
     np.testing.assert_allclose(ahead, back, atol=1e-13)
     along = direction(q, 5)
     step = 1e-5
     curvature = (back_of(q + step * along) - back_of(q - step * along)) / (2 * step)
-    _, found = jax.jit(lambda q, v: jax.jvp(back_of, (q,), (v,)))(q, jnp.asarray(along))
+    _, found = jax.jit(lambda q, v: jax.jvp(jax.jacrev(position), (q,), (v,)), compiler_options=QUICK)(
+        q, jnp.asarray(along)
+    )
     np.testing.assert_allclose(found, curvature, atol=1e-8)
 
 

@@ -3,9 +3,10 @@
 import jax
 import numpy as np
 import pytest
-from robots import PACKAGED, SHARED, answers, compile_model, distance, same_sign, source, states
+from robots import PACKAGED, SHARED, answers, distance, same_sign, source, states
 
 from jaxest import kinematics
+from jaxest.kinematics.load import compile_model
 
 STATES = 1000
 NAMES = [*PACKAGED, *(pytest.param(name, marks=pytest.mark.recorded) for name in SHARED)]
