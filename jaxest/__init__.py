@@ -28,6 +28,7 @@ _SUBMODULES = (
     "simulate",
     "systems",
     "types",
+    "viz",
 )
 
 __all__ = ["__version__", *_SUBMODULES]
