@@ -73,8 +73,8 @@ def simulate(seed: int, seconds: float) -> "tuple[Any, NDArray[Any]]":
     robot = kinematics.load(models.path("arm"))
     moves, noise = jax.random.split(jax.random.key(seed))
     motion = partial(trajectories.configuration, trajectories.random_motion(moves, robot, reach=0.3))
-    measurements, truth = imu.record(robot, motion, FRAME, key=noise, duration=seconds, rate_hz=RATE)
-    return measurements, np.asarray(truth.quaternion)
+    measurements, record = imu.record(robot, motion, FRAME, key=noise, duration=seconds, rate_hz=RATE)
+    return measurements, np.asarray(record.truth.quaternion)
 
 
 def estimate(measurements: Any, truth: "NDArray[Any]", axes: int) -> "tuple[list[Row], Callable[[Path], None]]":

@@ -5,30 +5,66 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from jaxest.filters.complementary import Imu, imu
+from jaxest.filters.complementary import Imu
 from jaxest.kinematics import Robot, forward
 from jaxest.manifolds import quaternion as quat
-from jaxest.types import Array, ArrayLike
+from jaxest.simulate.noise import Faults, Triad, corrupt
+from jaxest.types import Array, ArrayLike, Reading
+
+G = 9.80665  # m/s2, the unit of data sheets
+DEG = np.pi / 180
 
 
 class Sensor(NamedTuple):
-    """How good the IMU is; the defaults are those of a cheap MEMS part."""
+    """An IMU; the defaults are those of a small MEMS part after a factory calibration."""
 
-    gyroscope_noise: ArrayLike = 9e-5
-    """() rad/s/sqrt(Hz), white."""
-    gyroscope_bias: ArrayLike = 0.005
-    """() rad/s, standard deviation of each axis' constant bias."""
-    accelerometer_noise: ArrayLike = 4e-3
-    """() m/s2/sqrt(Hz), white."""
-    accelerometer_bias: ArrayLike = 0.02
-    """() m/s2, standard deviation of each axis' constant bias."""
-    magnetometer_noise: ArrayLike = 3e-8
-    """() T/sqrt(Hz), white."""
+    gyroscope: Triad = Triad(density=9e-5, bias=0.005, walk=2e-5)
+    """rad/s."""
+    accelerometer: Triad = Triad(density=4e-3, bias=0.02, walk=1e-4)
+    """m/s2."""
+    magnetometer: Triad = Triad(density=3e-8)
+    """T."""
+    jitter: ArrayLike = 0.0
+    """() s, standard deviation of a sample's time about the regular one, at most a tenth of the interval."""
+    drop: ArrayLike = 0.0
+    """() probability that a sample of all three sensors is lost."""
+    clock_offset: ArrayLike = 0.0
+    """() s, the sensor's stamps are late by this."""
+
+
+def perfect() -> Sensor:
+    """Return an IMU without any error."""
+    return Sensor(Triad(), Triad(), Triad())
+
+
+def mpu6050() -> Sensor:
+    """Return InvenSense's MPU-6050 at 2000 deg/s and 16 g as it comes, uncalibrated; with a magnetometer beside it.
+
+    A data sheet's tolerance is taken as two standard deviations. Source: product specification PS-MPU-6000A rev. 3.4:
+    noise 0.005 deg/s/sqrt(Hz) and 400 ug/sqrt(Hz), zero-rate 20 deg/s, zero-g 50 mg, scale 3 %, cross-axis 2 %.
+    """
+    return Sensor(
+        Triad(0.005 * DEG / np.sqrt(2), 10 * DEG, 2e-5, 0.015, 0.01, 2000 * DEG, 2000 * DEG / 2**15),
+        Triad(400e-6 * G / np.sqrt(2), 0.025 * G, 1e-4, 0.015, 0.01, 16 * G, 16 * G / 2**15),
+    )
+
+
+def mpu6886() -> Sensor:
+    """Return TDK's MPU-6886 at 2000 deg/s and 8 g as it comes, uncalibrated; with a magnetometer beside it.
+
+    Source: data sheet DS-000193 rev. 1.1 for noise (0.004 deg/s/sqrt(Hz), 100 ug/sqrt(Hz)) and gyro scale (1 %); bias,
+    accelerometer scale and misalignment are those of parts of its class (1 deg/s, 20 mg, 0.5 %, 1 %).
+    """
+    return Sensor(
+        Triad(0.004 * DEG / np.sqrt(2), 0.5 * DEG, 1e-5, 0.005, 0.005, 2000 * DEG, 2000 * DEG / 2**15),
+        Triad(100e-6 * G / np.sqrt(2), 0.01 * G, 5e-5, 0.0025, 0.005, 8 * G, 8 * G / 2**15),
+    )
 
 
 class Truth(NamedTuple):
-    """What the readings come from."""
+    """How the sensor really moves."""
 
     quaternion: Array
     """(..., 4) wxyz, sensor to world."""
@@ -38,6 +74,20 @@ class Truth(NamedTuple):
     """(..., 3) rad/s, of the sensor, in the sensor's frame."""
     specific_force: Array
     """(..., 3) m/s2, in the sensor's frame; +1 g up at rest."""
+
+
+class Record(NamedTuple):
+    """All there is to know about a simulated recording."""
+
+    truth: Truth
+    """leaves (T, ...)"""
+    time: Array
+    """(T,) s, when the samples were really taken."""
+    stamp: Array
+    """(T,) s, when the sensor says they were."""
+    gyroscope: Faults
+    accelerometer: Faults
+    magnetometer: Faults
 
 
 def ideal(robot: Robot, motion: Callable[[Array], Array], frame: int | str, time: ArrayLike) -> Truth:
@@ -77,7 +127,7 @@ def record(
     rate_hz: float = 200.0,
     sensor: Sensor | None = None,
     field: tuple[float, float, float] | Array = (0.0, 18e-6, -41e-6),
-) -> tuple[Imu, Truth]:
+) -> tuple[Imu, Record]:
     """Record a 9-axis IMU during a motion.
 
     Args:
@@ -87,11 +137,12 @@ def record(
         key: key of the whole recording.
         duration: s.
         rate_hz: samples per second.
-        sensor: how good the IMU is.
+        sensor: which IMU; the default `Sensor()` if None, `mpu6050()` and `mpu6886()` for parts as they come.
         field: (3,) T, the earth's magnetic field in the world (x east, y north, z up).
 
     Returns:
-        Measurements and truth with a leading time axis of `round(duration * rate_hz)` samples; the first `dt` is 0.
+        Measurements with a leading time axis of T = `round(duration * rate_hz)` samples (a lost one is not valid; the
+        first `dt` is 0), and what they come from.
 
     Raises:
         ValueError: there is no sample.
@@ -100,25 +151,20 @@ def record(
     if count < 1:
         raise ValueError(f"duration, rate_hz: {duration} s at {rate_hz} Hz, expected at least one sample")
     sensor = Sensor() if sensor is None else sensor
-    time = jnp.arange(count) / rate_hz
+    keys = jax.random.split(key, 5)
+    late = jnp.clip(sensor.jitter * jax.random.normal(keys[0], (count,)), -0.1 / rate_hz, 0.1 / rate_hz)
+    dt = (1 / rate_hz + late - jnp.roll(late, 1)).at[0].set(0)
+    time = jnp.arange(count) / rate_hz + late
     truth = jax.jit(jax.vmap(lambda t: ideal(robot, motion, frame, t)))(time)
     earth = jnp.asarray(field, truth.quaternion.dtype)
     magnetic = jax.vmap(lambda q: quat.rotate(quat.inverse(q), earth))(truth.quaternion)
-    spread = jnp.sqrt(jnp.asarray(rate_hz, earth.dtype))  # of a sample, per density
-    keys = jax.random.split(key, 5)
-
-    def noisy(key: Array, value: Array, density: ArrayLike) -> Array:
-        return value + density * spread * jax.random.normal(key, value.shape, value.dtype)
-
-    bias = sensor.gyroscope_bias * jax.random.normal(keys[3], (1, 3), earth.dtype)
-    offset = sensor.accelerometer_bias * jax.random.normal(keys[4], (1, 3), earth.dtype)
-    measurements = imu(
-        noisy(keys[0], truth.rate + bias, sensor.gyroscope_noise),
-        noisy(keys[1], truth.specific_force + offset, sensor.accelerometer_noise),
-        noisy(keys[2], magnetic, sensor.magnetometer_noise),
-        dt=jnp.where(jnp.arange(count) == 0, 0, 1 / spread**2),
-    )
-    return measurements, truth
+    there = jax.random.uniform(keys[1], (count,)) >= sensor.drop
+    signals = truth.rate, truth.specific_force, magnetic
+    drawn = [corrupt(k, triad, x, dt) for k, triad, x in zip(keys[2:], sensor[:3], signals, strict=True)]
+    gyroscope, accelerometer, magnetometer = (Reading(jnp.where(there[:, None], x, 0), there) for x, _ in drawn)
+    measurements = Imu(gyroscope, accelerometer, magnetometer, dt)
+    faults = (fault for _, fault in drawn)
+    return measurements, Record(truth, time, time + jnp.asarray(sensor.clock_offset, time.dtype), *faults)
 
 
-__all__ = ["Sensor", "Truth", "ideal", "record"]
+__all__ = ["Record", "Sensor", "Truth", "ideal", "mpu6050", "mpu6886", "perfect", "record"]

@@ -8,8 +8,7 @@ import pytest
 from jaxest import kinematics, models
 from jaxest.manifolds import quaternion as quat
 from jaxest.simulate import imu, trajectories
-
-SILENT = imu.Sensor(0.0, 0.0, 0.0, 0.0, 0.0)
+from jaxest.simulate.noise import Triad, corrupt
 
 
 def test_a_resting_arm_reads_one_g_up(dtype):
@@ -33,10 +32,11 @@ def test_rates_integrate_to_the_orientation_and_forces_to_the_path(x64):
     robot = kinematics.load(models.path("arm"))
     motion = trajectories.random_motion(jax.random.key(0), robot)
     rate_hz = 500.0
-    measured, truth = imu.record(
+    measured, record = imu.record(
         robot, lambda t: trajectories.configuration(motion, t), "site:imu3", key=jax.random.key(1), duration=2.0,
-        rate_hz=rate_hz, sensor=SILENT,
+        rate_hz=rate_hz, sensor=imu.perfect(),
     )  # fmt: skip
+    truth = record.truth
     middle = (truth.rate[1:] + truth.rate[:-1]) / 2 / rate_hz
     predicted = jax.vmap(quat.retract)(truth.quaternion[:-1], middle)
     error = jax.vmap(quat.local)(predicted, truth.quaternion[1:])
@@ -49,20 +49,71 @@ def test_rates_integrate_to_the_orientation_and_forces_to_the_path(x64):
     assert measured.dt[1] == pytest.approx(1 / rate_hz)
 
 
-def test_noise_and_bias_are_as_stated():
+def at_rest(sensor, seed=3, duration=40.0, rate_hz=100.0):
     robot = kinematics.load(models.path("arm"))
-    sensor = imu.Sensor(gyroscope_noise=0.01, gyroscope_bias=0.0, accelerometer_noise=0.02, accelerometer_bias=0.0)
     still = jnp.asarray(robot.home)
-    measured, truth = imu.record(
-        robot, lambda t: still + 0 * t, "hand", key=jax.random.key(3), duration=40.0, rate_hz=100.0, sensor=sensor
+    return imu.record(
+        robot,
+        lambda t: still + 0 * t,
+        "hand",
+        key=jax.random.key(seed),
+        duration=duration,
+        rate_hz=rate_hz,
+        sensor=sensor,
     )
+
+
+def test_noise_is_as_stated():
+    sensor = imu.Sensor(Triad(density=0.01), Triad(density=0.02), Triad(density=3e-8))
+    measured, record = at_rest(sensor)
     n = measured.dt.size * 3
     for reading, clean, density in (
-        (measured.gyroscope.value, truth.rate, 0.01),
-        (measured.accelerometer.value, truth.specific_force, 0.02),
+        (measured.gyroscope.value, record.truth.rate, 0.01),
+        (measured.accelerometer.value, record.truth.specific_force, 0.02),
     ):
         spread = np.std(np.asarray(reading - clean))
         assert spread == pytest.approx(density * 10, rel=4 / np.sqrt(2 * n))  # 4 standard errors
+
+
+def test_bias_walks_by_the_square_root_of_time():
+    dt = jnp.full(400, 0.25)
+    drawn = jax.vmap(lambda k: corrupt(k, Triad(bias=0.3, walk=0.1), jnp.zeros((400, 3)), dt)[1].bias)(
+        jax.random.split(jax.random.key(0), 300)
+    )
+    n = 900
+    assert np.std(drawn[:, -1]) == pytest.approx(np.sqrt(0.3**2 + 0.1**2 * 100), rel=4 / np.sqrt(2 * n))
+    np.testing.assert_allclose(np.std(drawn[:, 0]), 0.3, rtol=4 / np.sqrt(2 * n) + 0.02)
+
+
+def test_scale_misalignment_saturation_and_rounding():
+    value = jnp.asarray(np.random.default_rng(0).normal(size=(500, 3)), jnp.float32)
+    triad = Triad(scale=0.05, misalignment=0.03, limit=1.5, resolution=0.01)
+    reading, faults = corrupt(jax.random.key(1), triad, value, jnp.full(500, 0.01))
+    expected = np.clip(np.asarray(value) @ np.asarray(faults.matrix).T, -1.5, 1.5)
+    assert np.abs(reading - expected).max() <= 0.005 + 1e-6
+    np.testing.assert_allclose(reading / 0.01, np.round(reading / 0.01), atol=1e-3)
+    assert np.abs(reading).max() == pytest.approx(1.5)
+    assert np.abs(faults.matrix - np.eye(3)).max() > 0.01
+
+
+def test_drops_jitter_and_clock():
+    sensor = imu.Sensor(jitter=2e-4, drop=0.2, clock_offset=0.03)
+    measured, record = at_rest(sensor)
+    n = measured.dt.size
+    lost = 1 - np.mean(measured.gyroscope.valid)
+    assert lost == pytest.approx(0.2, abs=4 * np.sqrt(0.16 / n))
+    assert (np.asarray(measured.accelerometer.value)[~np.asarray(measured.accelerometer.valid)] == 0).all()
+    np.testing.assert_allclose(np.cumsum(measured.dt), record.time - record.time[0], atol=2e-4)
+    assert np.std(np.asarray(measured.dt)[1:]) == pytest.approx(2e-4 * np.sqrt(2), rel=0.1)
+    np.testing.assert_allclose(record.stamp - record.time, 0.03, atol=1e-5)
+
+
+@pytest.mark.parametrize("sensor", [imu.mpu6050(), imu.mpu6886()])
+def test_real_parts_read_about_one_g_at_rest(sensor):
+    measured, record = at_rest(sensor, duration=2.0)
+    norm = np.linalg.norm(np.mean(measured.accelerometer.value, axis=0))
+    assert norm == pytest.approx(9.81, rel=0.1)
+    assert 1e-3 < np.abs(record.gyroscope.bias).max() < 0.6
 
 
 def test_motions_stay_within_limits_and_leave_the_rest_alone(x64):
