@@ -107,8 +107,17 @@ def left_jacobian(v: np.ndarray) -> np.ndarray:
 
 
 def hamilton(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Hamilton product of two quaternions wxyz."""
-    return np.concatenate([[p[0] * q[0] - p[1:] @ q[1:]], p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])])
+    """Hamilton product of quaternions wxyz (..., 4)."""
+    (a, b, c, d), (e, f, g, h) = np.moveaxis(p, -1, 0), np.moveaxis(q, -1, 0)
+    return np.stack(
+        [
+            a * e - b * f - c * g - d * h,
+            a * f + b * e + c * h - d * g,
+            a * g + c * e + d * f - b * h,
+            a * h + d * e + b * g - c * f,
+        ],
+        axis=-1,
+    )
 
 
 def rotation_vector(q: np.ndarray) -> np.ndarray:
@@ -141,6 +150,7 @@ def quaternion_exp(v: np.ndarray) -> np.ndarray:
 
 
 def quaternion_matrix(q: np.ndarray) -> np.ndarray:
-    """The rotation matrix of a unit quaternion wxyz, column by column."""
-    columns = [hamilton(hamilton(q, np.array([0, *e])), q * [1, -1, -1, -1])[1:] for e in np.eye(3)]
-    return np.stack(columns, axis=1)
+    """The rotation matrices (..., 3, 3) of unit quaternions wxyz, column by column."""
+    conjugate = q * [1, -1, -1, -1]
+    columns = [hamilton(hamilton(q, np.broadcast_to([0, *e], q.shape)), conjugate)[..., 1:] for e in np.eye(3)]
+    return np.stack(columns, axis=-1)
