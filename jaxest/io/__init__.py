@@ -20,8 +20,9 @@ from jaxest.io.config import read_config
 from jaxest.io.formats import propose, read, write
 from jaxest.io.inspect import Summary, summarize
 from jaxest.io.log import SensorLog, Stream, check, stream, to_si
-from jaxest.io.proposal import Proposal, to_toml
+from jaxest.io.proposal import Proposal
 from jaxest.io.report import Environment, Report, Row, environment, to_json
+from jaxest.io.table_text import to_toml
 
 __all__ = [
     "Column",

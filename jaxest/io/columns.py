@@ -16,6 +16,7 @@ offset = 0.0
 frame = "imu0"
 names = ["x", "y", "z"]
 order = "xyzw"        # orientation only: how the file orders a quaternion, wxyz by default
+transposed = true     # the array has a column for each sample, not a row
 ```
 """
 
@@ -49,6 +50,7 @@ class Column(NamedTuple):
     start: Number | None = None
     names: tuple[str, ...] = ()
     order: str = ""
+    transposed: bool = False
 
 
 class ColumnTable(NamedTuple):
@@ -111,7 +113,9 @@ def _typed(place: str, owner: type[Column] | type[ColumnTable], key: str, value:
         if inner and isinstance(value, list | tuple):
             if all(isinstance(v, inner[0]) and not isinstance(v, bool) for v in value):
                 return tuple(value)
-        elif not inner and isinstance(option, type) and isinstance(value, option) and not isinstance(value, bool):
+        elif inner or not isinstance(option, type):
+            continue
+        elif isinstance(value, option) and isinstance(value, bool) == (option is bool):
             return value
     raise InputError(f"{place}: got {value!r}, expected {wanted.__name__ if isinstance(wanted, type) else wanted}")
 
@@ -166,6 +170,7 @@ def _value(raw: Raw, column: Column, place: str) -> tuple[NDArray[Any], NDArray[
     """Return the raw values and which rows are empty."""
     if column.array:
         value = pick(raw, column.array)
+        value = value.T if column.transposed else value
         if value.ndim == 0:
             raise InputError(f"{place}: {raw.word} {column.array!r} is one number, expected one row for each sample")
         blank = raw.empty.get(column.array, np.zeros(len(value), bool))
@@ -257,7 +262,8 @@ def seconds(stamps: NDArray[Any], unit: str) -> NDArray[np.float64]:
     if entry.si != "s":
         raise InputError(f"{unit!r} is no unit of time; expected s, ms, us or ns")
     if stamps.dtype.kind == "M":
-        stamps, entry = stamps.astype("datetime64[ns]").astype(np.int64), units.UNITS["ns"]
+        known, whole = ~np.isnat(stamps), seconds(stamps.astype("datetime64[ns]").astype(np.int64), "ns")
+        return np.where(known, whole, np.nan)
     if stamps.dtype.kind in "iu" and entry.factor < 1:
         per_second = round(1 / entry.factor)
         whole, rest = np.divmod(stamps, per_second)

@@ -8,102 +8,18 @@ written so that they read back bit for bit.
 
 import csv
 import io
-import itertools
-import json
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.io.files import PathLike, existing, replacing
+from jaxest.io.csv_cells import MARK, Cells, cells, dates, number
+from jaxest.io.files import PathLike, replacing
 from jaxest.io.log import SensorLog, Stream, check
 from jaxest.io.npz import meta_of, to_text
 from jaxest.io.raw import Raw
 from jaxest.types import InputError
-
-MARK = "# jaxest-log "
-
-
-class Cells(NamedTuple):
-    """A CSV file as text."""
-
-    source: str
-    meta: dict[str, Any] | None
-    header: tuple[str, ...]
-    columns: tuple[tuple[str, ...], ...]
-    lines: tuple[int, ...]
-    """Line number of each row, counted from 1."""
-
-
-def cells(path: PathLike) -> Cells:
-    """Read a CSV file (comma, semicolon or tab) as text.
-
-    Args:
-        path: the file.
-
-    Returns:
-        Its columns; without a header they are called `0`, `1`, ...
-
-    Raises:
-        InputError: no such file, not text, no rows, or a line with another number of cells than the header.
-    """
-    source, text = str(path), _text(existing(path))
-    head = list(itertools.takewhile(lambda s: s.startswith("#") or not s.strip(), io.StringIO(text)))
-    meta = _meta(source, head[0]) if head and head[0].startswith(MARK) else None
-    body = io.StringIO(text)
-    for _ in head:
-        body.readline()
-    first = body.readline()
-    body.seek(body.tell() - len(first))
-    reader = csv.reader(body, delimiter=max(",;\t", key=first.count), skipinitialspace=True)
-    rows, lines = [], []
-    try:
-        for row in reader:
-            if row:
-                rows.append(row)
-                lines.append(reader.line_num + len(head))
-    except csv.Error as error:
-        raise InputError(f"{source}: line {reader.line_num + len(head)}: {error}") from error
-    if not rows:
-        raise InputError(f"{source}: the file is empty: it holds no rows")
-    headless = all(_number(cell) is not None for cell in rows[0])
-    header = tuple(map(str, range(len(rows[0])))) if headless else tuple(cell.strip() for cell in rows[0])
-    start = 0 if headless else 1
-    for row, line in zip(rows, lines, strict=True):
-        if len(row) != len(header):
-            raise InputError(f"{source}: line {line}: {len(row)} cells, expected {len(header)} as in the first line")
-    if meta is None and len(set(header)) < len(header):
-        twice = next(name for name in header if header.count(name) > 1)
-        raise InputError(f"{source}: line {lines[0]}: column {twice!r} is there twice")
-    if len(rows) == start:
-        raise InputError(f"{source}: the file is empty: it has a header and no rows")
-    return Cells(source, meta, header, tuple(zip(*rows[start:], strict=True)), tuple(lines[start:]))
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: byte {error.start} is not text; expected CSV in UTF-8") from error
-
-
-def _meta(source: str, line: str) -> dict[str, Any]:
-    try:
-        meta = json.loads(line.removeprefix(MARK))
-    except json.JSONDecodeError as error:
-        raise InputError(f"{source}: line 1: what follows '{MARK.strip()}' is not JSON ({error})") from error
-    if not isinstance(meta, dict) or not all(isinstance(entry, dict) for entry in meta.values()):
-        raise InputError(f"{source}: line 1: expected one JSON object with an object for each stream")
-    return meta
-
-
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
 
 
 def load(path: PathLike) -> tuple[Cells, Raw]:
@@ -113,8 +29,8 @@ def load(path: PathLike) -> tuple[Cells, Raw]:
         path: the file.
 
     Returns:
-        The text, and its columns as float64 with NaN where a cell is empty. A column without any number is refused,
-        one with a bad cell is broken; both only matter to whoever asks for them.
+        The text, and its columns as float64 with NaN where a cell is empty, or as datetime64. A column of neither is
+        refused, one with a bad cell is broken; both only matter to whoever asks for them.
 
     Raises:
         InputError: as `cells`.
@@ -126,21 +42,31 @@ def load(path: PathLike) -> tuple[Cells, Raw]:
     empty: dict[str, NDArray[np.bool_]] = {}
     for name, column in zip(table.header, table.columns, strict=True):
         blank = np.array([not cell or cell.isspace() for cell in column])
-        try:
-            values = np.array([float(c) if not b else np.nan for c, b in zip(column, blank, strict=True)])
-        except ValueError:
-            numbers = [_number(cell) for cell in column]
-            row = next(i for i, n in enumerate(numbers) if n is None and not blank[i])
+        values = _values(column, blank)
+        if values is None:
+            found = [number(cell) is not None for cell in column]
+            row = next(i for i, n in enumerate(found) if not n and not blank[i])
             reason = f"line {table.lines[row]}, column {name!r}: {column[row]!r} is not a number"
-            (broken if any(n is not None for n in numbers) else refused)[name] = reason
-            continue
-        if blank.all():
+            (broken if any(found) else refused)[name] = reason
+        elif blank.all():
             refused[name] = f"column {name!r} is empty"
-            continue
-        arrays[name] = values
-        if blank.any():
-            empty[name] = blank
+        else:
+            arrays[name] = values
+            if blank.any():
+                empty[name] = blank
     return table, Raw(str(path), arrays, refused, broken, empty, "column")
+
+
+def _values(column: Sequence[str], blank: NDArray[np.bool_]) -> NDArray[Any] | None:
+    """Return a column as numbers or dates, or None where a cell is neither."""
+    for parse in (float, number):  # the quick one first
+        try:
+            found = [np.nan if skip else parse(cell) for cell, skip in zip(column, blank, strict=True)]
+        except ValueError:
+            continue
+        if None not in found:
+            return np.array(found, np.float64)
+    return dates(column)
 
 
 def read_log(table: Cells) -> SensorLog:

@@ -11,6 +11,7 @@ from jaxest.io.files import PathLike, existing
 from jaxest.io.log import SensorLog, check
 from jaxest.io.proposal import Proposal
 from jaxest.io.raw import Raw
+from jaxest.io.table_text import to_toml
 from jaxest.types import InputError
 
 
@@ -74,7 +75,7 @@ def read(path: PathLike, columns: ColumnTable | Mapping[str, Any] | None = None)
     if guess.unsure:
         raise InputError(
             f"{path}: not in jaxest's own layout, and its names leave something open: {'; '.join(guess.unsure)}. "
-            f"Put the right lines into a config:\n{proposal.to_toml(guess)}"
+            f"Put the right lines into a config:\n{to_toml(guess)}"
         )
     log = table_module.apply(raw, guess.table)
     return check(log._replace(notes=guess.assumed))

@@ -136,7 +136,7 @@ def _saturated(values: NDArray[Any]) -> bool:
     if len(values) < _MANY or len(np.unique(values[:: max(1, len(values) // 1000)])) < _MANY:
         return False
     values = values.astype(np.float64)
-    steps = np.abs(np.diff(values))
+    steps = np.minimum(np.abs(np.diff(values)), 1e100)  # an absurd value must not overflow when squared
     fast = max(_ARRIVAL * float(np.sqrt(np.mean(steps**2))), _QUANTA * float(np.min(steps[steps > 0])))
     for extreme in (values.max(), values.min()):
         at = values == extreme

@@ -14,6 +14,12 @@ FASTEST = 70.0  # rad/s: twice the range of common gyroscopes
 _SHARE = 99  # percent of the samples that must be slower
 
 
+def _finite(value: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the values as float64 with NaN for what is not finite or too large to be squared."""
+    found = np.asarray(value, np.float64)
+    return np.where(np.abs(found) < 1e100, found, np.nan)
+
+
 def median_norm(value: NDArray[Any]) -> float:
     """Return the median norm of the finite rows.
 
@@ -23,7 +29,7 @@ def median_norm(value: NDArray[Any]) -> float:
     Returns:
         The median, NaN where no row is finite.
     """
-    rows = np.asarray(value, np.float64)
+    rows = _finite(value)
     rows = rows[np.isfinite(rows).all(axis=1)]
     return float(np.median(np.linalg.norm(rows, axis=1))) if len(rows) else float("nan")
 
@@ -43,8 +49,9 @@ def field_unit(value: NDArray[Any]) -> str:
 
 def too_fast(gyr: NDArray[Any]) -> bool:
     """Say whether the rates (n, 3) are beyond what a gyroscope measures, if they were rad/s."""
-    norm = np.linalg.norm(np.nan_to_num(np.asarray(gyr, np.float64)), axis=1)
-    return bool(np.percentile(norm, _SHARE) > FASTEST)
+    norm = np.linalg.norm(_finite(gyr), axis=1)
+    norm = norm[np.isfinite(norm)]
+    return bool(len(norm)) and bool(np.percentile(norm, _SHARE) > FASTEST)
 
 
 class RateCheck(NamedTuple):
@@ -75,7 +82,7 @@ def rate_check(time: NDArray[np.float64], gyr: NDArray[Any], acc: NDArray[Any], 
     if count < 20:
         return RateCheck(float("nan"), 0.0)
     rate, force = (
-        np.asarray(v, np.float64)[: count * size].reshape(count, size, 3).mean(axis=1) for v in (gyr, acc)
+        _finite(v)[: count * size].reshape(count, size, 3).mean(axis=1) for v in (gyr, acc)
     )  # fmt: skip
     u = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-12)
     step = (time[size : count * size : size] - time[: (count - 1) * size : size])[:, None]
@@ -110,11 +117,14 @@ def quaternion_order(quat: NDArray[Any], acc: NDArray[Any]) -> str:
         `wxyz`, `xyzw`, either followed by ` inverse` where they map earth to sensor, or nothing where it cannot be
         told.
     """
-    rows = np.isfinite(quat).all(axis=1) & np.isfinite(acc).all(axis=1)
+    q, a = _finite(quat), _finite(acc)
+    rows = np.isfinite(q).all(axis=1) & np.isfinite(a).all(axis=1)
     if rows.sum() < 20:
         return ""
-    q, a = np.asarray(quat, np.float64)[rows], np.asarray(acc, np.float64)[rows]
+    q, a = q[rows], a[rows]
     length = np.linalg.norm(a, axis=1).mean()
+    if length == 0:
+        return ""
     found = {}
     for order, inverse in itertools.product(("wxyz", "xyzw"), (False, True)):
         w, v = (q[:, :1], q[:, 1:]) if order == "wxyz" else (q[:, 3:], q[:, :3])

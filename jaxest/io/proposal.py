@@ -54,7 +54,13 @@ def guess(raw: Raw) -> Proposal:
     unsure: list[str] = []
     found = _streams(raw, words, assumed, unsure)
     if not found:
-        raise InputError(f"{raw.source}: nothing here looks like a stream; {raw.word}s: {_listing(raw)}")
+        raise InputError(
+            f"{raw.source}: nothing here looks like a stream; {raw.word}s: {_listing(raw)}. Say in a config which is "
+            f"which:\n{_example(raw)}"
+        )
+    hollow = next((name for name, entry in found.items() if not len(entry.value)), None)
+    if hollow is not None:
+        raise InputError(f"{raw.source}: the log is empty: stream {hollow!r} has no rows")
     streams = {}
     for name, entry in found.items():
         column = _clock(raw, words, name, entry, assumed, unsure)
@@ -72,6 +78,19 @@ def _listing(raw: Raw) -> str:
     return "; ".join([", ".join(entries) or "none", *raw.refused.values()])
 
 
+def _example(raw: Raw) -> str:
+    """Lines of a config to be filled in, with names that the file has."""
+    names = [n for n, value in raw.arrays.items() if value.ndim] or ["NAME"]
+    wide = next((n for n in names if n in raw.arrays and raw.arrays[n].ndim == 2 and raw.arrays[n].shape[1] > 3), "")
+    if wide:
+        where = f"array = {json.dumps(wide)}\ncolumns = [1, 2, 3]\ntime = 0  # a column of it"
+    elif raw.word == "column" and len(names) > 3:
+        where = f"time = {json.dumps(names[0])}\ncolumns = {json.dumps(names[1:4])}"
+    else:
+        where = f"array = {json.dumps(names[0])}\nrate = 100.0  # Hz, or time = the name of the stamps"
+    return f'[columns.gyroscope]  # and so on for "accelerometer", ...\n{where}\nunit = "rad/s"'
+
+
 def _used(name: str, word: Word, streams: dict[str, _Found]) -> bool:
     for entry in streams.values():
         c = entry.column
@@ -85,6 +104,7 @@ def _streams(raw: Raw, words: dict[str, Word], assumed: list[str], unsure: list[
     found: dict[str, _Found] = {}
     groups: dict[tuple[str, str], list[str]] = {}
     rest = []
+    clocks = {raw.arrays[n].size for n, w in words.items() if w.kind == "time"}
     for name, word in words.items():
         value = raw.arrays[name]
         if word.kind in ("time", "rate", "period") or value.ndim == 0 or value.dtype.kind not in "biuf":
@@ -92,7 +112,12 @@ def _streams(raw: Raw, words: dict[str, Word], assumed: list[str], unsure: list[
         if value.ndim == 1 and word.component:
             groups.setdefault((word.kind, word.owner), []).append(name)
         elif word.kind:
-            _add(found, _named(word.kind, value), Column(array=name, unit=word.unit), value, word.owner, unsure)
+            turned = _transposed(word.kind, value, clocks)
+            if turned:
+                unsure.append(f"{name} {value.shape}: seems transposed, expected (n, {len(value)})")
+                value = value.T
+            column = Column(array=name, unit=word.unit, transposed=turned)
+            _add(found, _named(word.kind, value), column, value, word.owner, unsure)
         else:
             rest.append(name)
     for (kind, owner), names in groups.items():
@@ -105,15 +130,24 @@ def _streams(raw: Raw, words: dict[str, Word], assumed: list[str], unsure: list[
             _add(found, _named(kind, value), column._replace(names=joints), value, owner, unsure)
         else:
             rest += names
-    rows = {len(entry.value) for entry in found.values()} | {
-        raw.arrays[n].size for n, w in words.items() if w.kind == "time"
-    }
+    rows = {len(entry.value) for entry in found.values()} | clocks
     for name in rest:
         value = raw.arrays[name]
         if not _matrix(found, name, value, assumed, unsure) and len(value) in rows and len(value) > 1:
             _add(found, name.strip("/") or "column", Column(array=name), value, words[name].owner, unsure, named=True)
             assumed.append(f"{name}: kept as a stream of its own, unit not known")
     return found
+
+
+def _transposed(kind: str, value: NDArray[Any], clocks: set[int]) -> bool:
+    """Say whether a matrix has a column for each sample, by the stamps or by the number of components of its kind."""
+    if value.ndim != 2:
+        return False
+    rows, columns = value.shape
+    known = units.shape_of(kind)
+    if known is None or kind == "accelerometer":  # `acc` may be of joints
+        return columns in clocks and rows not in clocks
+    return (rows,) == known != (columns,)
 
 
 def _equal(raw: Raw, names: list[str]) -> bool:
@@ -266,31 +300,3 @@ def _shared(streams: dict[str, Column]) -> ColumnTable:
         table = table._replace(time=first.time, rate=first.rate, time_unit=first.time_unit)
         streams = {name: c._replace(time=None, rate=None, time_unit="") for name, c in streams.items()}
     return table._replace(streams=streams)
-
-
-def to_toml(table: ColumnTable | Proposal) -> str:
-    """Write a column table as lines to paste into a config.
-
-    Args:
-        table: a table or a proposal, whose assumptions and open questions become comments.
-
-    Returns:
-        TOML text.
-    """
-    comments: list[str] = []
-    if isinstance(table, Proposal):
-        comments = [f"# open: {line}" for line in table.unsure] + [f"# {line}" for line in table.assumed]
-        table = table.table
-    plain = ColumnTable({})
-    lines = [*comments, "[columns]"]
-    lines += [f"{k} = {_toml(v)}" for k, v in table._asdict().items() if k != "streams" and v != getattr(plain, k)]
-    for name, column in table.streams.items():
-        lines += ["", f"[columns.{name if name.isidentifier() and name.isascii() else json.dumps(name)}]"]
-        lines += [f"{k} = {_toml(v)}" for k, v in column._asdict().items() if v != Column._field_defaults[k]]
-    return "\n".join(lines) + "\n"
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    return json.dumps(value)

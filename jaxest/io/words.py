@@ -29,7 +29,8 @@ _KINDS = {
     "joint_velocity": "dq qd qvel qdot velocities",
     "joint_acceleration": "ddq qdd qacc accelerations",
     "joint_torque": "tau torque torques effort efforts",
-    "time": "t time times stamp stamps timestamp timestamps",
+    "time": "t time times stamp stamps timestamp timestamps datetime "
+    "seconds milliseconds microseconds nanoseconds millis micros nanos",
     "rate": "fs rate hz freq frequency samplerate fsamp",
     "period": "dt ts period",
 }
@@ -43,12 +44,16 @@ _PAIRS = {
 # Words that mean something else unless the name speaks of joints.
 _JOINT = {"pos": "position", "position": "position", "angle": "position", "vel": "velocity", "velocity": "velocity",
           "acc": "acceleration", "acceleration": "acceleration", "gyr": "velocity"}  # fmt: skip
-_EMPTY = {"raw", "data", "imu", "field", "sensor", "meas", "measured", "value", "values", "joint", "joints", "ros"}
+_EMPTY = {"raw", "data", "imu", "field", "sensor", "meas", "measured", "value", "values", "joint", "joints", "ros",
+          "elapsed", "date", "utc", "unix", "epoch"}  # fmt: skip
 _SHORT = ("g", "a", "m", "w", "q", "gyr", "gyro", "acc", "accel", "mag", "quat", "dq", "qd", "ddq", "tau", "omega")
 _UNIT_TOKENS = {
     "dps": "deg/s", "deg": "deg", "rad": "rad", "rads": "rad/s", "degs": "deg/s", "ut": "uT", "nt": "nT", "nm": "Nm",
     "ms2": "m/s2", "g": "g", "mg": "mg", "s": "s", "sec": "s", "ms": "ms", "us": "us", "ns": "ns",
+    "seconds": "s", "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns",
+    "millis": "ms", "micros": "us", "nanos": "ns",
 }  # fmt: skip
+_CLOCKS = ("seconds", "milliseconds", "microseconds", "nanoseconds", "millis", "micros", "nanos")
 _AXES = ("w", "x", "y", "z")
 
 
@@ -67,7 +72,10 @@ def classify(name: str) -> Word:
         unit, name = bracket.group(1).strip(), name[: bracket.start()]
     tokens = [t.lower() for t in re.findall(r"[A-Z]+(?![a-z])[0-9]*|[A-Z]?[a-z]+[0-9]*|[0-9]+", name)]
     tokens, component = _component(tokens)
+    before = tokens
     tokens, kind = _kind(tokens, component)
+    if kind == "time" and not unit:  # a clock may be called by its unit: `millis`
+        unit = next((_UNIT_TOKENS[t] for t in before if t in _CLOCKS), "")
     if not unit and tokens and _fits(kind, _UNIT_TOKENS.get(tokens[-1], "")):
         unit = _UNIT_TOKENS[tokens[-1]]
         tokens = tokens[:-1]
