@@ -2,8 +2,8 @@
 
 import numpy as np
 
-# Compiles in half the time and differs by roundings from the default, with which exp and log and their derivatives, what
-# the bounds in eps are about, are tested.
+# Compiles in half the time and differs by roundings from the default. What the bounds in eps are about, exp and log with
+# their derivatives, is compiled as users compile it.
 LIGHT = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 
 AXES = np.array(
