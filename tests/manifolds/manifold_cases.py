@@ -2,7 +2,7 @@
 
 import numpy as np
 
-# Compiles in half the time and differs by roundings from the default. What the bounds in eps are about, exp and log with
+# Compiles in half the time, differs by roundings from the default. What the bounds in eps are about, exp and log with
 # their derivatives, is compiled as users compile it.
 LIGHT = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 
