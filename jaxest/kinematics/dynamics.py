@@ -1,138 +1,243 @@
-"""Generalised forces of a robot's links."""
+"""Dynamics of a robot: joint torques from accelerations, accelerations from joint torques.
+
+M(q) a + h(q, v) = tau, with MuJoCo's coordinates: a is the time derivative of MuJoCo's v. No contacts, no limits, no
+equality constraints: coupled joints move on their own.
+"""
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.custom_derivatives import SymbolicZero
 
 from jaxest.kinematics import components as c
-from jaxest.kinematics.chains import Plan, plan
-from jaxest.kinematics.fold import Folded, carriers, fold
-from jaxest.kinematics.forward import configuration, links
-from jaxest.kinematics.jacobian import velocity_axes
-from jaxest.kinematics.poses import joint_poses
-from jaxest.kinematics.robot import NV, Robot, is_concrete
-from jaxest.kinematics.scan import Links, Pose
-from jaxest.types import Array, ArrayLike, InputError
+from jaxest.kinematics.articulated import factorise, solve
+from jaxest.kinematics.fold import fold
+from jaxest.kinematics.forward import configuration
+from jaxest.kinematics.gravity import gravity_torque
+from jaxest.kinematics.inertia import check_inertia, lump
+from jaxest.kinematics.passive import passive_torque
+from jaxest.kinematics.recursion import Placed, composite_forces, joint_torques, link_forces, place, points
+from jaxest.kinematics.robot import Robot
+from jaxest.kinematics.rows import Numbers, gyration, masses, places
+from jaxest.kinematics.sequence import Sequence, sequence
+from jaxest.types import Array, ArrayLike
+
+__all__ = [
+    "bias_force",
+    "forward_dynamics",
+    "gravity_torque",
+    "inverse_dynamics",
+    "mass_matrix",
+    "passive_torque",
+]
 
 
-class Lump(NamedTuple):
-    """Mass that a joint carries before the next joint: its own body and those fixed to it."""
-
-    mass: Array
-    """(nj,) kg."""
-    moment: Array
-    """(nj, 3) kg m, mass times centre of mass in the joint's frame."""
-
-
-def gravity_torque(robot: Robot, q: ArrayLike) -> Array:
-    """Compute the joint torques that hold the robot still against gravity.
-
-    This is the generalised gravity g of M a + c + g = tau, MuJoCo's bias force at rest: an arm held level needs a
-    torque that pushes it up.
+def inverse_dynamics(robot: Robot, q: ArrayLike, v: ArrayLike, a: ArrayLike) -> Array:
+    """Compute the joint torques that a motion needs: M a + h, by recursive Newton-Euler.
 
     Args:
-        robot: the robot; differentiable in its masses, centres of mass and offsets.
+        robot: the robot; differentiable in its masses, inertias, offsets, axes, armature and gravity.
+        q: (nq,) joint coordinates, rad or m; batch with `jax.vmap`.
+        v: (nv,) velocities as MuJoCo has them, rad/s or m/s.
+        a: (nv,) their time derivative, rad/s2 or m/s2.
+
+    Returns:
+        (nv,) N m (N for slides and a free joint's translation), without damping, springs or friction.
+
+    Raises:
+        ValueError: an argument has the wrong shape.
+        InputError: a moving body has no inertia.
+
+    Source: Featherstone, "Rigid Body Dynamics Algorithms", 2008, table 5.1.
+    """
+    q, v, a = _arguments(robot, q, v=v, a=a)
+    return _inverse_dynamics(sequence(robot.topology), _numbers(robot, q.dtype), q, v, a)
+
+
+def bias_force(robot: Robot, q: ArrayLike, v: ArrayLike) -> Array:
+    """Compute the joint torques that a motion without acceleration needs: gravity, centrifugal and Coriolis forces.
+
+    Args:
+        robot: the robot, as in `inverse_dynamics`.
+        q: (nq,) joint coordinates, rad or m; batch with `jax.vmap`.
+        v: (nv,) velocities, rad/s or m/s.
+
+    Returns:
+        (nv,) h in N m (N for slides and a free joint's translation); MuJoCo's `qfrc_bias`.
+
+    Raises:
+        ValueError: an argument has the wrong shape.
+        InputError: a moving body has no inertia.
+    """
+    q, v = _arguments(robot, q, v=v)
+    return _inverse_dynamics(sequence(robot.topology), _numbers(robot, q.dtype), q, v, None)
+
+
+def mass_matrix(robot: Robot, q: ArrayLike) -> Array:
+    """Compute the joint-space inertia matrix, armature included, by composite rigid bodies.
+
+    Args:
+        robot: the robot, as in `inverse_dynamics`.
         q: (nq,) joint coordinates, rad or m; batch with `jax.vmap`.
 
     Returns:
-        (nv,) N m (N for slides and a free joint's translation).
+        (nv, nv) M in kg m2 (kg where both coordinates slide, kg m where one does), symmetric.
 
     Raises:
         ValueError: q has the wrong shape.
         InputError: a moving body has no inertia.
+
+    Source: Featherstone, "Rigid Body Dynamics Algorithms", 2008, table 6.2.
     """
-    q = configuration(robot, q)
-    check_inertia(robot)
-    folded = fold(robot)
-    lumps = jax.tree.map(lambda x: jnp.asarray(x, q.dtype), lump(robot, folded))
-    planned = plan(robot, _carried_bodies(robot), folded).whole()
-    gravity = jnp.asarray(robot.gravity, q.dtype)
-    return _gravity_torque(planned, links(robot, folded, q.dtype), lumps, gravity, q)
+    (q,) = _arguments(robot, q)
+    return _mass_matrix(sequence(robot.topology), _numbers(robot, q.dtype), q)
 
 
-def check_inertia(robot: Robot) -> None:
-    """Refuse dynamics for a robot whose inertias are unknown.
+def forward_dynamics(robot: Robot, q: ArrayLike, v: ArrayLike, tau: ArrayLike, passive: bool = False) -> Array:
+    """Compute the accelerations that joint torques cause, without any constraint.
 
-    Raises:
-        InputError: names the moving bodies without inertia.
-    """
-    if robot.topology.massless:
-        names = ", ".join(robot.topology.massless[:6])
-        raise InputError(
-            f"robot {robot.topology.name!r}: no inertia for {len(robot.topology.massless)} moving bodies ({names}), "
-            "expected <inertial> elements or the mesh files; only its kinematics can be used"
-        )
-
-
-def _carried_bodies(robot: Robot) -> tuple[int, ...]:
-    """Return the body of the last joint of each joint's body: frames whose plan covers every joint."""
-    return tuple(sorted(set(robot.topology.joint_body)))
-
-
-def lump(robot: Robot, folded: Folded) -> Lump:
-    """Gather bodies' masses on the joints that carry them.
+    Costs O(nv). The derivative solves with the same factors instead of differentiating the solve.
 
     Args:
-        robot: the robot.
-        folded: its folded offsets.
+        robot: the robot, as in `inverse_dynamics`; with `passive` also in its passive terms.
+        q: (nq,) joint coordinates, rad or m; batch with `jax.vmap`.
+        v: (nv,) velocities, rad/s or m/s.
+        tau: (nv,) torques, N m (N for slides and a free joint's translation).
+        passive: static; whether to add `passive_torque`: damping, springs and friction loss.
 
     Returns:
-        Mass and first moment of each joint.
+        (nv,) accelerations, rad/s2 or m/s2: MuJoCo's `qacc_smooth`, save friction loss (see `passive_torque`).
+
+    Raises:
+        ValueError: an argument has the wrong shape.
+        InputError: a moving body has no inertia.
+
+    Source: Featherstone, "Rigid Body Dynamics Algorithms", 2008, table 7.1.
     """
-    leaves = (robot.body_mass, robot.body_com, *folded)
-    xp: Any = np if is_concrete(*leaves) else jnp
-    bodies, joints = len(robot.topology.body_names), len(robot.topology.joint_names)
-    mass, com = xp.asarray(robot.body_mass), xp.asarray(robot.body_com)
-    position, quaternion = folded.frame_translation[:bodies], folded.frame_quaternion[:bodies]
-    centre = xp.stack(c.add(c.split(position), c.rotate(c.split(quaternion), c.split(com))), -1)
-    carrier = np.array(carriers(robot.topology).frame[:bodies], int)
-    membership = np.equal(carrier[None, :], np.arange(joints)[:, None]).astype(float)
-    return Lump(membership @ mass, membership @ (centre * mass[:, None]))
+    q, v, tau = _arguments(robot, q, v=v, tau=tau)
+    if passive:
+        tau = tau + passive_torque(robot, q, v)
+    return _accelerations(sequence(robot.topology), _numbers(robot, q.dtype), q, v, tau)
+
+
+def _arguments(robot: Robot, q: ArrayLike, **vectors: ArrayLike) -> tuple[Array, ...]:
+    """Check shapes and bring all to one floating type."""
+    check_inertia(robot)
+    q = configuration(robot, q)
+    checked = {name: jnp.asarray(value) for name, value in vectors.items()}
+    for name, value in checked.items():
+        if value.shape != (robot.nv,):
+            raise ValueError(f"{name}: shape {value.shape}, expected ({robot.nv},); batch with jax.vmap")
+    dtype = jnp.result_type(q, *checked.values())
+    return tuple(x.astype(dtype) for x in (q, *checked.values()))
+
+
+def _numbers(robot: Robot, dtype: Any) -> Numbers:
+    folded = fold(robot)
+    lumps = lump(robot, folded)
+    numbers = (
+        *(folded.translation, folded.quaternion, folded.axis, robot.joint_reference),
+        *(lumps.mass, lumps.moment, lumps.inertia, robot.armature, robot.gravity),
+    )
+    return Numbers(*(jnp.asarray(x, dtype) for x in numbers))
+
+
+def _place(order: Sequence, numbers: Numbers, q: Array) -> Placed:
+    return place(order, places(order, numbers, q), masses(order, numbers))
+
+
+def _in_order(order: Sequence, vector: Array) -> Array:
+    """Bring a vector over v into the order of the steps."""
+    return vector if order.velocity == tuple(range(len(order.velocity))) else vector[np.array(order.velocity)]
+
+
+def _out_of_order(order: Sequence, vector: Array) -> Array:
+    """Bring a vector over the steps into the order of v."""
+    return vector if order.velocity == tuple(range(len(order.velocity))) else vector[np.argsort(order.velocity)]
 
 
 @partial(jax.jit, static_argnums=0)
-def _gravity_torque(planned: Plan, constants: Links, lumps: Lump, gravity: Array, q: Array) -> Array:
-    poses = joint_poses(planned, constants, q)
-    torques: list[Array] = [jnp.zeros((0,), q.dtype)] * len(planned.joint_kind)
-    above: list[Any] = [None] * len(planned.chains)
-    for index in reversed(range(len(planned.chains))):
-        chain, pose = planned.chains[index], poses[index]
-        rows = np.array(chain.joints)
-        mass = lumps.mass[rows]
-        moment = c.add(c.rotate(pose.quaternion, c.split(lumps.moment[rows])), c.scale(pose.position, mass))
-        carried, total = _carried(mass, moment, above[index])
-        if chain.parent >= 0:
-            above[chain.parent] = _sum(above[chain.parent], total)
-        for joint, torque in zip(chain.joints, _hold(planned, index, constants, pose, carried, gravity), strict=True):
-            torques[joint] = torque[: NV[planned.joint_kind[joint]]]
-    return jnp.concatenate([*torques, jnp.zeros((0,), q.dtype)])
+def _inverse_dynamics(order: Sequence, numbers: Numbers, q: Array, v: Array, a: Array | None) -> Array:
+    if not order.joint:
+        return jnp.zeros((0,), q.dtype)
+    placed = _place(order, numbers, q)
+    rates = _in_order(order, v)
+    wanted = None if a is None else _in_order(order, a)
+    loads = link_forces(order, placed, numbers.gravity, rates, wanted, gyration(order, rates))
+    torque = _out_of_order(order, joint_torques(order, placed, loads))
+    return torque if a is None else torque + numbers.armature * a
 
 
-def _sum(a: Any, b: Any) -> Any:
-    return b if a is None else jax.tree.map(jnp.add, a, b)
+@partial(jax.jit, static_argnums=0)
+def _mass_matrix(order: Sequence, numbers: Numbers, q: Array) -> Array:
+    count = len(order.joint)
+    if not count:
+        return jnp.zeros((0, 0), q.dtype)
+    placed = _place(order, numbers, q)
+    torque, force = composite_forces(order, placed)
+    point = points(order, placed)
+    inner, outer = (lambda x: tuple(p[:, None] for p in x)), (lambda x: tuple(p[None, :] for p in x))
+    force_there = outer(force)
+    entries: Any = 0
+    if placed.turn is not None:
+        arm = c.sub(outer(point), inner(point))
+        entries = c.dot(inner(placed.turn), c.add(outer(torque), c.cross(arm, force_there)))
+    if placed.slide is not None:
+        entries = entries + c.dot(inner(placed.slide), force_there)
+    above = jnp.where(_ancestors(order), entries, 0)
+    back = np.argsort(order.velocity)
+    whole = above + above.T * (1 - np.eye(count, dtype=q.dtype))
+    return whole[back][:, back] + jnp.diag(numbers.armature)
 
 
-def _carried(mass: Array, moment: c.Vector, beyond: Any) -> tuple[Any, Any]:
-    """Sum mass and first moment from each joint outwards; returns those sums and the whole chain's."""
-    start = jax.tree.map(lambda x: jnp.zeros((), x.dtype), (mass, moment)) if beyond is None else beyond
-
-    def add(total: Any, own: Any) -> tuple[Any, Any]:
-        total = _sum(total, own)
-        return total, total
-
-    whole, sums = jax.lax.scan(add, start, (mass, moment), reverse=True)
-    return sums, whole
+def _ancestors(order: Sequence) -> np.ndarray:
+    """Tell whether step i is step j or lies between it and the world, (n, n)."""
+    found = np.eye(len(order.parent), dtype=bool)
+    for step, parent in enumerate(order.parent):
+        if parent >= 0:
+            found[:, step] |= found[:, parent]
+    return found
 
 
-def _hold(planned: Plan, index: int, constants: Links, pose: Pose, carried: Any, gravity: Array) -> Array:
-    """Project the weight that each joint of a chain carries on its axes, (n, w)."""
-    mass, moment = carried
-    rotation, translation = velocity_axes(planned, planned.chains[index], constants, pose)
-    lever = c.sub(moment, c.scale(pose.position, mass))
-    pull = c.split(gravity)
-    force = tuple((mass * g)[:, None] for g in pull)
-    torque = tuple(t[:, None] for t in c.cross(lever, pull))
-    return -(c.dot(rotation, torque) + c.dot(translation, force))
+@partial(jax.jit, static_argnums=0)
+def _accelerations(order: Sequence, numbers: Numbers, q: Array, v: Array, tau: Array) -> Array:
+    return _forward_dynamics(order, numbers, q, v, tau) if order.joint else jnp.zeros((0,), q.dtype)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _forward_dynamics(order: Sequence, numbers: Numbers, q: Array, v: Array, tau: Array) -> Array:
+    return _solved(order, numbers, q, v, tau)[0]
+
+
+def _solved(order: Sequence, numbers: Numbers, q: Array, v: Array, tau: Array) -> Any:
+    """Return the accelerations, and what solves again with the same mass matrix."""
+    placed = _place(order, numbers, q)
+    rates = _in_order(order, v)
+    loads = link_forces(order, placed, numbers.gravity, rates, None, gyration(order, rates))
+    factors = factorise(order, placed, _in_order(order, numbers.armature))
+    found = solve(order, placed, factors, _in_order(order, tau), loads)
+    return _out_of_order(order, found), (placed, factors)
+
+
+@partial(_forward_dynamics.defjvp, symbolic_zeros=True)
+def _forward_dynamics_jvp(order: Sequence, primals: Any, tangents: Any) -> tuple[Array, Array]:
+    """Differentiate M a + h = tau: M da = dtau - d(M a + h) at constant a."""
+    *moving, tau = primals
+    a, (placed, factors) = _solved(order, *moving, tau)
+    leaves, tree = jax.tree.flatten(tuple(moving))
+    dots = jax.tree.leaves(tuple(tangents[:-1]), is_leaf=lambda x: isinstance(x, SymbolicZero))
+    moved = [k for k, dot in enumerate(dots) if not isinstance(dot, SymbolicZero)]
+    rest = jnp.zeros_like(tau) if isinstance(tangents[-1], SymbolicZero) else tangents[-1]
+
+    def torque(changed: list[Array]) -> Array:
+        now = list(leaves)
+        for k, leaf in zip(moved, changed, strict=True):
+            now[k] = leaf
+        return _inverse_dynamics(order, *jax.tree.unflatten(tree, now), a)
+
+    if moved:
+        rest = rest - jax.jvp(torque, ([leaves[k] for k in moved],), ([dots[k] for k in moved],))[1]
+    return a, _out_of_order(order, solve(order, placed, factors, _in_order(order, rest)))

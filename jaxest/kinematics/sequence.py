@@ -1,0 +1,195 @@
+"""The order in which one scan visits every velocity coordinate of a tree.
+
+A scan per chain would compile a program per chain. Instead the joints stand in one row, each branch after the other,
+and a few registers remember the state at a branching until its last branch has been started: none for a serial arm,
+one for most humanoids and hands. A ball or free joint takes a step per velocity coordinate, like a row of hinges and
+slides at one point.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxest.kinematics.fold import carriers
+from jaxest.kinematics.robot import FREE, NV, Topology
+
+WORLD, PREVIOUS = -2, -1
+
+
+class Sequence(NamedTuple):
+    """One step per velocity coordinate, parents before children; static and hashable."""
+
+    joint: tuple[int, ...]
+    place: tuple[int, ...]
+    """Which of its joint's coordinates, from 0."""
+    velocity: tuple[int, ...]
+    """Where the coordinate stands in v."""
+    source: tuple[int, ...]
+    """Where the state before the step is: WORLD, PREVIOUS step, or a register from 0."""
+    keep: tuple[int, ...]
+    """The register that keeps the state after the step for later branches, or -1."""
+    parent: tuple[int, ...]
+    """The step before this one on the way to the world, or -1."""
+    registers: int
+    joint_kind: tuple[str, ...]
+    joint_q: tuple[int, ...]
+
+    @property
+    def kind(self) -> tuple[str, ...]:
+        """Kind of each step's joint."""
+        return tuple(self.joint_kind[j] for j in self.joint)
+
+    @property
+    def opening(self) -> np.ndarray:
+        """Whether the step moves into its joint's frame; a free joint first shifts along the world's axes."""
+        return np.array([p == (3 if k == FREE else 0) for p, k in zip(self.place, self.kind, strict=True)], bool)
+
+    @property
+    def closing(self) -> np.ndarray:
+        """Whether the step is its joint's last, after which the links that the joint carries move."""
+        return np.array([p == NV[k] - 1 for p, k in zip(self.place, self.kind, strict=True)], bool)
+
+    @property
+    def branches(self) -> bool:
+        """Whether some step starts from elsewhere than the previous one."""
+        return any(source != PREVIOUS for source in self.source[1:])
+
+
+@functools.lru_cache(maxsize=64)
+def sequence(topology: Topology) -> Sequence:
+    """Put a robot's velocity coordinates in an order that a scan can follow.
+
+    Args:
+        topology: the robot's.
+
+    Returns:
+        The order. The branch that needs most registers comes last, so that few are needed (Sethi and Ullman's rule).
+    """
+    carried = carriers(topology).joint
+    children: dict[int, list[int]] = {j: [] for j in range(-1, len(carried))}
+    for joint, parent in enumerate(carried):
+        children[parent].append(joint)
+    need = [0] * len(carried)
+    for joint in reversed(range(len(carried))):
+        children[joint].sort(key=lambda child: need[child])
+        *others, last = [need[child] for child in children[joint]] or [0]
+        need[joint] = max([last, *(1 + other for other in others)])
+    order: list[tuple[int, int, int]] = []  # joint, source, register that keeps it
+    waiting = [(joint, WORLD, 0) for joint in reversed(children[-1])]
+    while waiting:
+        joint, source, level = waiting.pop()
+        below = children[joint]
+        order.append((joint, source, level if len(below) > 1 else -1))
+        starts = [PREVIOUS] + [level] * (len(below) - 1)
+        levels = [level + 1] * (len(below) - 1) + [level]
+        waiting += reversed(list(zip(below, starts, levels[: len(below)], strict=False)))
+    return _steps(topology, carried, order)
+
+
+def _steps(topology: Topology, carried: tuple[int, ...], order: list[tuple[int, int, int]]) -> Sequence:
+    rows: list[tuple[int, int, int, int, int, int]] = []
+    last: dict[int, int] = {-1: -1}
+    for joint, source, keep in order:
+        width = NV[topology.joint_kind[joint]]
+        for place in range(width):
+            rows.append(
+                (
+                    joint,
+                    place,
+                    topology.joint_v[joint] + place,
+                    source if place == 0 else PREVIOUS,
+                    keep if place == width - 1 else -1,
+                    last[carried[joint]] if place == 0 else len(rows) - 1,
+                )
+            )
+        last[joint] = len(rows) - 1
+    columns = tuple(tuple(column) for column in zip(*rows, strict=True)) or ((),) * 6
+    registers = max(columns[4], default=-1) + 1
+    return Sequence(*columns, registers, topology.joint_kind, topology.joint_q)
+
+
+class _Flags(NamedTuple):
+    """What a step does with the registers, (n,) bool each; empty where it never happens."""
+
+    world: tuple[np.ndarray, ...]
+    previous: tuple[np.ndarray, ...]
+    take: tuple[np.ndarray, ...]
+    keep: tuple[np.ndarray, ...]
+
+
+def _flags(order: Sequence) -> _Flags:
+    source, keep = np.array(order.source), np.array(order.keep)
+    several = order.source.count(WORLD) > 1
+    registers = range(order.registers)
+    return _Flags(
+        (source == WORLD,) if several else (),
+        (source == PREVIOUS,) if order.branches else (),
+        tuple(source == r for r in registers),
+        tuple(keep == r for r in registers),
+    )
+
+
+def _choose(flag: Any, a: Any, b: Any) -> Any:
+    return jax.tree.map(lambda x, y: jnp.where(flag, x, y), a, b)
+
+
+def outward(order: Sequence, step: Callable[[Any, Any], tuple[Any, Any]], world: Any, steps: Any) -> Any:
+    """Go through a tree from the world outwards.
+
+    Args:
+        order: the steps' order.
+        step: maps (state before, a row of `steps`) to (state after, output).
+        world: state of the world, a tree of () arrays.
+        steps: tree of arrays (n, ...), one row a step.
+
+    Returns:
+        The outputs, (n, ...).
+    """
+
+    def body(carry: Any, now: Any) -> Any:
+        state, kept = carry
+        flags, own = now
+        for take, register in zip(flags.take, kept, strict=True):
+            state = _choose(take, register, state)
+        for flag in flags.world:
+            state = _choose(flag, world, state)
+        state, out = step(state, own)
+        kept = tuple(_choose(keep, state, register) for keep, register in zip(flags.keep, kept, strict=True))
+        return (state, kept), out
+
+    return jax.lax.scan(body, (world, (world,) * order.registers), (_flags(order), steps))[1]
+
+
+def inward(order: Sequence, step: Callable[[Any, Any], tuple[Any, Any]], nothing: Any, steps: Any) -> Any:
+    """Go through a tree from its tips inwards, adding up at the branchings.
+
+    Args:
+        order: the steps' order.
+        step: maps (sum of what the children pass, a row of `steps`) to (what is passed to the parent, output).
+        nothing: what a tip receives: zeros.
+        steps: tree of arrays (n, ...), one row a step.
+
+    Returns:
+        The outputs, (n, ...).
+    """
+
+    def body(carry: Any, now: Any) -> Any:
+        received, kept = carry
+        flags, own = now
+        for keep, register in zip(flags.keep, kept, strict=True):
+            received = jax.tree.map(jnp.add, received, _choose(keep, register, nothing))
+        passed, out = step(received, own)
+        kept = tuple(
+            _choose(take, jax.tree.map(jnp.add, passed, _choose(keep, nothing, register)), _choose(keep, nothing, register))
+            for keep, take, register in zip(flags.keep, flags.take, kept, strict=True)
+        )
+        for flag in flags.previous:
+            passed = _choose(flag, passed, nothing)
+        return (passed, kept), out
+
+    carry = (nothing, (nothing,) * order.registers)
+    return jax.lax.scan(body, carry, (_flags(order), steps), reverse=True)[1]
