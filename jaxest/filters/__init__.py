@@ -2,13 +2,25 @@
 
 Start with `run`: it drives every estimator over T measurements and keeps what `full`, `last` or `every(k)` ask for.
 An estimator is a file: `complementary` gives the orientation of one IMU, `complementary_covariance` how well it is
-known. Its parameters, state, measurement and `init` / `step` live there; batches are the caller's `vmap`.
+known. Its parameters, state, measurement and `init` / `step` live there; batches are the caller's `vmap`. `kalman`
+makes a filter and a smoother of any model on a product manifold.
 
 Not here: sensors and robots (a filter is handed functions), and complete estimators for a robot, which are in
 `jaxest.systems`.
 """
 
-from jaxest.filters import complementary, complementary_covariance
+from jaxest.filters import complementary, complementary_covariance, kalman
 from jaxest.filters.run import Every, Last, Sampled, every, full, last, run
 
-__all__ = ["Every", "Last", "Sampled", "complementary", "complementary_covariance", "every", "full", "last", "run"]
+__all__ = [
+    "Every",
+    "Last",
+    "Sampled",
+    "complementary",
+    "complementary_covariance",
+    "every",
+    "full",
+    "kalman",
+    "last",
+    "run",
+]
