@@ -3,6 +3,7 @@
 import contextlib
 import io
 from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,8 +16,6 @@ from jaxest.bench.harness import Candidate, Progress, Timing, candidate, compare
 from jaxest.io.report import Row
 from jaxest.kinematics.fold import carriers
 from jaxest.kinematics.load import compile_model
-
-NO_FUSION = {"xla_cpu_use_fusion_emitters": False}  # without it XLA on CPU recomputes a chain exponentially often
 
 
 class Subject(NamedTuple):
@@ -164,23 +163,17 @@ def _pinocchio_loop(subject: Subject) -> None:
 
 
 def _mjx_rows(batch: int) -> Iterable[Row]:
-    with contextlib.redirect_stdout(io.StringIO()):  # it tells on standard output what it has not found
-        from mujoco import mjx
-    for joints, options, what in ((4, None, "plain"), (7, NO_FUSION, "without fusion emitters")):
-        robot, model = kinematics.load(models.chain(joints)), compile_model(models.chain(joints))
-        theirs = mjx.put_model(model)
-        blank = mjx.make_data(theirs)
-        q = jnp.asarray(np.random.default_rng(0).uniform(-2, 2, (batch, joints)), jnp.float32)
+    from jaxest.kinematics import mjx
 
-        def pose(q: jax.Array, theirs: Any = theirs, blank: Any = blank) -> Any:
-            data = mjx.kinematics(theirs, blank.replace(qpos=q))
-            return data.xpos, data.xquat
+    for joints, compiled, what in ((4, jax.jit, "plain"), (7, mjx.jit, "without fusion emitters")):
+        robot, backend = kinematics.load(models.chain(joints)), mjx.build(models.chain(joints))
+        q = jnp.asarray(np.random.default_rng(0).uniform(-2, 2, (batch, joints)), jnp.float32)
 
         ours = jax.jit(jax.vmap(lambda q, robot=robot: kinematics.forward(robot, q)))
         found: dict[str, Timing] = race(
             [
                 candidate("forward", ours, q, items=batch),
-                candidate("mjx", jax.jit(jax.vmap(pose), compiler_options=options), q, items=batch),
+                candidate("mjx", compiled(jax.vmap(partial(mjx.forward, backend))), q, items=batch),
             ],
             repeats=10,
         )

@@ -145,7 +145,7 @@ def _drop_meshes(spec: Any) -> tuple[list[str], list[str]]:
                 continue
             if weighs and body.name not in massless:
                 massless.append(body.name)
-            dropped.append(geom.name)
+            dropped.append(geom.name)  # a sensor's object of another type with this name goes too; nobody misses it
             spec.delete(geom)
     for mesh in list(spec.meshes):
         if mesh.name not in kept:
@@ -156,6 +156,9 @@ def _drop_meshes(spec: Any) -> tuple[list[str], list[str]]:
     for pair in list(spec.pairs):
         if {pair.geomname1, pair.geomname2} & set(dropped):
             spec.delete(pair)
+    for sensor in list(spec.sensors):
+        if {sensor.objname, sensor.refname} & set(dropped) - {""}:
+            spec.delete(sensor)
     for body in spec.bodies:
         if body.name in massless:
             _give_unit_inertia(body)
@@ -188,10 +191,10 @@ def _give_unit_inertia(body: Any) -> None:
 
 
 def _drop_decoration(spec: Any) -> None:
-    """Delete what only pictures, contacts and control need and what may name files that are absent."""
+    """Delete what only pictures need and what may name files that are absent."""
     for material in list(spec.materials):
         material.textures = [""] * len(material.textures)
-    for group in (spec.textures, spec.skins, spec.sensors):
+    for group in (spec.textures, spec.skins):
         for element in list(group):
             spec.delete(element)
 
