@@ -12,6 +12,7 @@ moved about is wrong for as long as the movement lasts. A disturbance of standar
 acts on a slow filter like white noise of density `s sqrt(2 T)`, and that is the number to give.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -106,6 +107,7 @@ def init(params: Params, *, key: Array | None = None) -> State:
     return State(state, jnp.diag(jnp.concatenate([unknown, bias])))
 
 
+@functools.cache  # a new object at every call would have `run` compile again
 def with_covariance(step: Step = complementary.step) -> Step:
     """Return a step that carries the covariance of the filter's error beside the filter.
 

@@ -1,5 +1,6 @@
 """Orientation of a single IMU by the passive complementary filter, and data to try it on."""
 
+import functools
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -43,8 +44,9 @@ def build(
         covariance: whether states and infos carry a covariance (several times the work in a batch).
 
     Returns:
-        The system. Its measurement is `complementary.Imu` (the magnetometer None without one); its parameters are
-        `complementary.Params`, or `complementary_covariance.Params` with `covariance`.
+        The system, the same object for the same choices, so that `run` compiles its step once. Its measurement is
+        `complementary.Imu` (the magnetometer None without one); its parameters are `complementary.Params`, or
+        `complementary_covariance.Params` with `covariance`.
 
     Raises:
         InputError: a sensor has no such name.
@@ -57,8 +59,13 @@ def build(
             raise unknown_name("sensor", name, SENSORS)
     if not {"gyroscope", "accelerometer"} <= set(sensors):
         raise ValueError(f"sensors: got {tuple(sensors)}, expected at least 'gyroscope' and 'accelerometer'")
+    return _build("magnetometer" in sensors, update, covariance)
+
+
+@functools.cache
+def _build(magnetic: bool, update: Any, covariance: bool) -> System:
     step = complementary.step if update is exponential else partial(complementary.step, update=update)
-    draw = partial(simulate, magnetic="magnetometer" in sensors)
+    draw = partial(simulate, magnetic=magnetic)
     if not covariance:
         return System(complementary.Params(), complementary.init, step, draw)
     carried = complementary_covariance

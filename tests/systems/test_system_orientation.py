@@ -151,6 +151,23 @@ def test_the_demonstration_converges():
     assert np.all(np.asarray(info.valid))
 
 
+@pytest.mark.parametrize("covariance", [False, True])
+def test_equal_choices_are_compiled_once(covariance):
+    traced = []
+
+    def update(quaternion, rate, dt):
+        traced.append(1)
+        return complementary.exponential(quaternion, rate, dt)
+
+    for sensors in (SIX, SIX[::-1], list(SIX)):
+        system = orientation.build(sensors=sensors, update=update, covariance=covariance)
+        params = jax.tree.map(np.float32, system.default_params)
+        measurements = complementary.imu(np.zeros((5, 3)), np.ones((5, 3)), dt=np.float32(0.01))
+        run(system.step, params, system.init(params), measurements)
+    assert len(traced) == 1
+    assert orientation.build(sensors=SIX, update=update) is not orientation.build(update=update)
+
+
 def test_wrong_arguments_are_named():
     with pytest.raises(InputError, match="sensor 'gyro' does not exist; did you mean 'gyroscope'"):
         orientation.build(sensors=("gyro", "accelerometer"))
