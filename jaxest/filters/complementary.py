@@ -87,7 +87,7 @@ def imu(gyroscope: Any, accelerometer: Any, magnetometer: Any = None, *, dt: Any
         The measurement with the leading axes of `gyroscope`.
     """
     batch = np.shape(gyroscope)[:-1]
-    there: Any = np.ones(batch, bool)
+    there: Any = np.ones(batch, bool) if batch else np.True_  # a scalar reaches the device sooner
     field = None if magnetometer is None else Reading(magnetometer, there)
     dt = dt if np.shape(dt) == batch else np.broadcast_to(np.asarray(dt), batch)
     return Imu(Reading(gyroscope, there), Reading(accelerometer, there), field, dt)
