@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import re
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 
 import numpy as np
 
+from jaxest.kinematics.lean import drop_decoration, drop_meshes, give_unit_inertia
 from jaxest.kinematics.robot import BALL, FREE, HINGE, NQ, SLIDE, Robot, Topology
 from jaxest.types import InputError, unknown_name
 
@@ -36,15 +40,16 @@ def load(source: str | Path | mujoco.MjModel) -> Robot:
     Raises:
         FileNotFoundError: no such file.
         InputError: the file is no robot, or MuJoCo cannot compile it; the message names the file and the element.
+        ValueError: the source is neither of these.
     """
-    if isinstance(source, (str, Path)):
-        name, spec = _read(source)
-        model, massless, notes = _compile(name, spec)
-        for note in notes:
-            _log.warning("%s: %s", name, note)
-    else:
-        model, massless, notes = source, (), []
-    return _robot(model, massless, tuple(notes))
+    if not isinstance(source, (str, Path)):
+        if not hasattr(source, "jnt_qposadr"):
+            raise ValueError(f"source: got {type(source).__name__}, expected a path, MJCF or URDF text, or an MjModel")
+        return _robot("model", source, (), ())
+    name, model, massless, notes = _compile(source)
+    for note in notes:
+        _log.warning("%s: %s", name, note)
+    return _robot(name, model, massless, tuple(notes))
 
 
 def compile_model(source: str | Path) -> mujoco.MjModel:
@@ -60,23 +65,52 @@ def compile_model(source: str | Path) -> mujoco.MjModel:
         FileNotFoundError: no such file.
         InputError: the file is no robot, or MuJoCo cannot compile it.
     """
-    return _compile(*_read(source))[0]
+    return _compile(source)[1]
+
+
+@contextlib.contextmanager
+def _heard() -> Iterator[list[str]]:
+    """Collect MuJoCo's warnings, which it would print, and write into a file of the working folder."""
+    import mujoco
+
+    heard: list[str] = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(heard.append)
+    try:
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            yield heard
+        heard += [_one_line(entry.message) for entry in found]
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+def _text(source: str | Path) -> tuple[str, bool, str]:
+    """Return a name for messages, whether the source is the text itself, and the text."""
+    text = str(source).removeprefix("\ufeff")
+    if isinstance(source, str) and text.lstrip().startswith("<"):
+        return "robot text", True, text
+    try:
+        there = Path(source).is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        there = False
+    if not there:
+        shown = text if len(text) < 200 else f"{text[:200]}..."
+        raise FileNotFoundError(f"{shown}: no such file; expected an MJCF or URDF robot")
+    return text, False, Path(source).read_text(encoding="utf-8", errors="replace")
 
 
 def _read(source: str | Path) -> tuple[str, Any]:
     """Parse a file or a text; return a name for messages and MuJoCo's editable model."""
     import mujoco
 
-    text = str(source)
-    inline = isinstance(source, str) and text.lstrip().startswith("<")
-    name = "robot text" if inline else text
-    if not inline:
-        if not Path(source).is_file():
-            raise FileNotFoundError(f"{name}: no such file; expected an MJCF or URDF robot")
-        text = Path(source).read_text(encoding="utf-8", errors="replace")
+    name, inline, text = _text(source)
     if not re.search(r"<(mujoco|robot)\b", text):
         found = text.strip().splitlines()[0][:60] if text.strip() else "an empty file"
         raise InputError(f"{name}: not a robot: expected MJCF (<mujoco>) or URDF (<robot>), found {found!r}")
+    macro = re.search(r"<xacro:\w+", text)
+    if macro:  # MuJoCo would leave it out without a word
+        raise InputError(f"{name}: found {macro[0]}>, expected plain URDF; expand it first: xacro FILE > robot.urdf")
     try:
         spec = mujoco.MjSpec.from_string(text) if inline else mujoco.MjSpec.from_file(name)
     except ValueError as error:
@@ -96,116 +130,52 @@ def _check_mimics(name: str, text: str) -> None:
                 raise InputError(f"{name}: joint {joint.get('name')!r} mimics: {unknown_name('joint', leader, joints)}")
 
 
-def _one_line(error: Exception) -> str:
+def _one_line(error: Exception | Warning | str) -> str:
     return "; ".join(part.strip() for part in str(error).splitlines() if part.strip())
 
 
-def _compile(name: str, spec: Any) -> tuple[mujoco.MjModel, tuple[str, ...], list[str]]:
-    """Compile what kinematics and dynamics need; return the model, the bodies without inertia, and notes."""
-    spec.compiler.fusestatic = False
-    notes, massless = _drop_meshes(spec)
-    _drop_decoration(spec)
-    empty = [body for body in spec.bodies if body.joints and not body.explicitinertial and not body.geoms]
-    try:
-        model = spec.compile()
-    except ValueError as error:
-        if "mass and inertia of moving bodies" not in str(error):
-            raise InputError(f"{name}: MuJoCo cannot compile it: {_one_line(error)}") from None
-        for body in empty:
-            _give_unit_inertia(body)
-        massless += [body.name for body in empty]
+def _compile(source: str | Path) -> tuple[str, mujoco.MjModel, tuple[str, ...], list[str]]:
+    """Compile what kinematics and dynamics need; return a name, the model, the bodies without inertia, and notes."""
+    with _heard() as heard:
+        name, spec = _read(source)
+        spec.compiler.fusestatic = False
+        notes, massless = drop_meshes(spec)
+        drop_decoration(spec)
+        empty = [body for body in spec.bodies if body.joints and not body.explicitinertial and not body.geoms]
         try:
             model = spec.compile()
-        except ValueError as second:
-            raise InputError(f"{name}: MuJoCo cannot compile it: {_one_line(second)}") from None
+        except ValueError as error:
+            if "mass and inertia of moving bodies" not in str(error):
+                raise _refusal(name, error) from None
+            for body in empty:
+                give_unit_inertia(body)
+            massless += [body.name for body in empty]
+            try:
+                model = spec.compile()
+            except ValueError as second:
+                raise _refusal(name, second) from None
+    notes += dict.fromkeys(_one_line(line) for line in heard)
     massless = [body for body in massless if model.body_weldid[model.body(body).id] != 0]  # a fixed one weighs nothing
     if massless:
         shown = ", ".join(massless[:4]) + (", ..." if len(massless) > 4 else "")
         notes.append(f"kinematics only: no inertia for {len(massless)} bodies ({shown})")
-    return model, tuple(massless), notes
+    return name, model, tuple(massless), notes
 
 
-def _drop_meshes(spec: Any) -> tuple[list[str], list[str]]:
-    """Delete geoms that need a mesh or height-field file, but for present files that an inertia depends on."""
-    folder = Path(spec.modelfiledir or ".")
-    absent = {mesh.name for mesh in spec.meshes if mesh.file and not _exists(folder, spec, mesh.file)}
-    absent_fields = {field.name for field in spec.hfields if field.file and not _exists(folder, spec, field.file)}
-    missing = {mesh.file for mesh in spec.meshes if mesh.name in absent}
-    missing |= {field.file for field in spec.hfields if field.name in absent_fields}
-    massless: list[str] = []
-    dropped: list[str] = []
-    kept: set[str] = set()
-    for body in spec.bodies:
-        for geom in list(body.geoms):
-            if not geom.meshname and geom.hfieldname not in absent_fields:
-                continue
-            weighs = geom.meshname and _gives_inertia(spec, body, geom)
-            if weighs and geom.meshname not in absent:
-                kept.add(geom.meshname)
-                continue
-            if weighs and body.name not in massless:
-                massless.append(body.name)
-            dropped.append(geom.name)  # a sensor's object of another type with this name goes too; nobody misses it
-            spec.delete(geom)
-    for mesh in list(spec.meshes):
-        if mesh.name not in kept:
-            spec.delete(mesh)
-    for field in list(spec.hfields):
-        if field.name in absent_fields:
-            spec.delete(field)
-    for pair in list(spec.pairs):
-        if {pair.geomname1, pair.geomname2} & set(dropped):
-            spec.delete(pair)
-    for sensor in list(spec.sensors):
-        if {sensor.objname, sensor.refname} & set(dropped) - {""}:
-            spec.delete(sensor)
-    for body in spec.bodies:
-        if body.name in massless:
-            _give_unit_inertia(body)
-    notes = [f"{len(missing)} mesh files absent, geometry left out (first: {min(missing)})"] if missing else []
-    return notes, massless
+def _refusal(name: str, error: Exception) -> InputError:
+    hint = (
+        "; call the link that it hangs on 'world'" if "free joint can only be used on top level" in str(error) else ""
+    )
+    return InputError(f"{name}: MuJoCo cannot compile it: {_one_line(error)}{hint}")
 
 
-def _exists(folder: Path, spec: Any, file: str) -> bool:
-    return any((folder / sub / file).is_file() for sub in ("", spec.meshdir or "", spec.compiler.meshdir or ""))
-
-
-def _gives_inertia(spec: Any, body: Any, geom: Any) -> bool:
-    """Tell whether a geom counts for its body's inertia, as MuJoCo's compiler decides it."""
-    import mujoco
-
-    if body.name == "world" or geom.mass == 0 or (np.isnan(geom.mass) and geom.density == 0):
-        return False
-    low, high = spec.compiler.inertiagrouprange
-    mode = spec.compiler.inertiafromgeom
-    from_geom = mode == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE or not body.explicitinertial
-    return bool(low <= geom.group <= high and from_geom and mode != mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_FALSE)
-
-
-def _give_unit_inertia(body: Any) -> None:
-    """Let a body compile whose inertia is unknown."""
-    body.explicitinertial = True
-    body.mass = 1.0
-    body.ipos = (0, 0, 0)
-    body.inertia = (1, 1, 1)
-
-
-def _drop_decoration(spec: Any) -> None:
-    """Delete what only pictures need and what may name files that are absent."""
-    for material in list(spec.materials):
-        material.textures = [""] * len(material.textures)
-    for group in (spec.textures, spec.skins):
-        for element in list(group):
-            spec.delete(element)
-
-
-def _robot(model: mujoco.MjModel, massless: tuple[str, ...], notes: tuple[str, ...]) -> Robot:
+def _robot(source: str, model: mujoco.MjModel, massless: tuple[str, ...], notes: tuple[str, ...]) -> Robot:
     import mujoco
 
     objects = mujoco.mjtObj
     body_names = _names(model, objects.mjOBJ_BODY, "body", model.nbody)[1:]
     kinds = tuple(_KINDS[t] for t in model.jnt_type)
-    couplings, coefficients = _couplings(model)
+    couplings, coefficients = _couplings(source, model)
     topology = Topology(
         name=model.names[: model.names.index(b"\0")].decode() or "robot",
         body_names=body_names,
@@ -279,7 +249,7 @@ def _full_inertia(model: mujoco.MjModel) -> np.ndarray:
     return full
 
 
-def _couplings(model: mujoco.MjModel) -> tuple[tuple[tuple[int, int], ...], np.ndarray]:
+def _couplings(source: str, model: mujoco.MjModel) -> tuple[tuple[tuple[int, int], ...], np.ndarray]:
     """Collect active joint equalities, leaders before those that depend on them."""
     import mujoco
 
@@ -293,7 +263,8 @@ def _couplings(model: mujoco.MjModel) -> tuple[tuple[tuple[int, int], ...], np.n
     while waiting:
         ready = [joint for joint, (leader, _) in waiting.items() if leader not in waiting]
         if not ready:
-            raise InputError(f"equality: joints {sorted(waiting)} are coupled in a circle")
+            circle = ", ".join(model.joint(joint).name or f"number {joint}" for joint in sorted(waiting))
+            raise InputError(f"{source}: equality: joints {circle} are coupled in a circle")
         for joint in ready:
             leader, coefficients = waiting.pop(joint)
             ordered.append((joint, leader))

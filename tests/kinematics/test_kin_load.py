@@ -156,8 +156,15 @@ BAD = {
     "coupled in a circle": (
         '<mujoco><worldbody><body><joint name="a"/><joint name="b" axis="1 0 0"/><geom size=".1"/></body></worldbody>'
         '<equality><joint joint1="a" joint2="b"/><joint joint1="b" joint2="a"/></equality></mujoco>',
-        "coupled in a circle",
+        "robot text: equality: joints a, b are coupled in a circle",
     ),
+    "macros": (
+        '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="a.xacro"/>'
+        + link("a")
+        + "</robot>",
+        "found <xacro:include>, expected plain URDF; expand it first",
+    ),
+    "free joint below the root": (urdf(link("a"), link("b"), joint("j", "a", "b", "floating")), "'world'"),
 }
 
 
@@ -177,6 +184,28 @@ def test_files_that_are_no_robots(tmp_path):
     (tmp_path / "b.xml").write_bytes(b"")
     with pytest.raises(InputError, match=r"b.xml: not a robot: .* found 'an empty file'"):
         kinematics.load(tmp_path / "b.xml")
+
+
+def test_what_is_no_source():
+    with pytest.raises(ValueError, match="source: got int, expected a path"):
+        kinematics.load(3)
+    with pytest.raises(FileNotFoundError, match=r"x\.\.\.: no such file"):
+        kinematics.load("x" * 5000)
+    assert kinematics.load("\ufeff" + urdf(link("a"), link("b"), joint("j", "a", "b"))).nq == 1
+
+
+def test_what_mujoco_warns_of_is_a_note(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    mimic = joint("k", "a", "b", "planar", inside='<mimic joint="k"/>')
+    robot = kinematics.load(urdf(link("a"), link("b"), mimic))
+    assert robot.notes == ("<mimic> on joint 'k' ignored; mimic requires revolute, continuous, or prismatic joints",)
+    flex = kinematics.load(
+        '<mujoco><worldbody><flexcomp name="f" type="grid" count="2 2 1" spacing=".1 .1 .1" radius=".01" dim="2"/>'
+        "</worldbody></mujoco>"
+    )
+    assert "flex 'f' is not rigid" in flex.notes[0]
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr().out == ""
 
 
 def test_packaged_robots():
