@@ -25,6 +25,7 @@ _SUBMODULES = (
     "manifolds",
     "metrics",
     "models",
+    "parallel",
     "simulate",
     "systems",
     "types",

@@ -1,0 +1,92 @@
+"""One batch axis over devices and processes, by JAX's own engine; nothing here schedules work.
+
+Particles, chains, recordings, simulations and parameter sets are leading axes that `vmap` adds. `shards` spreads such
+an axis over all devices, of this process or, after `jax.distributed.initialize`, of all of them; the same numbers come
+out as on one device.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from jaxest.types import PyTree
+
+AXIS = "batch"
+
+
+def mesh(devices: Sequence[jax.Device] | None = None) -> Mesh:
+    """Line devices up along the batch axis.
+
+    Args:
+        devices: which; all devices of all processes if None.
+
+    Returns:
+        A mesh with the one axis `batch`.
+    """
+    return Mesh(np.asarray(jax.devices() if devices is None else list(devices)), (AXIS,))
+
+
+def shards(fn: Callable[..., PyTree], over: Mesh | None = None) -> Callable[..., PyTree]:
+    """Spread a function over a batch, a share of it on each device.
+
+    Args:
+        fn: takes one item (pytrees of arrays) and returns a pytree; pure.
+        over: the devices, as `mesh` lines them up; all of them if None.
+
+    Returns:
+        A jitted function of the same arguments, each leaf with a leading axis of n items; its results have that axis
+        too and live spread over the devices (`gather` brings them to every host). A batch that the number of devices
+        does not divide is filled up with copies of its last item, which are dropped again. Every process gives the
+        whole batch.
+
+    Raises:
+        ValueError: when called, if the leaves' leading axes differ.
+    """
+    line = mesh() if over is None else over
+    spread = NamedSharding(line, PartitionSpec(AXIS))
+    part = PartitionSpec(AXIS)
+    # Shares are independent, and an estimator's scan starts from constants: nothing for the check to find.
+    step = jax.jit(jax.shard_map(jax.vmap(fn), mesh=line, in_specs=part, out_specs=part, check_vma=False))
+
+    def call(*args: PyTree) -> PyTree:
+        sizes = [np.shape(leaf)[:1] for leaf in jax.tree.leaves(args)]
+        if len(set(sizes)) != 1 or () in sizes:
+            raise ValueError(f"batch: leading axes {sorted(set(sizes))}, expected one number of items on every leaf")
+        items = int(sizes[0][0])
+        rows = np.minimum(np.arange(-(-items // line.size) * line.size), items - 1)
+        placed = jax.tree.map(lambda leaf: _place(leaf, rows, spread), args)
+        found = step(*placed)
+        return found if len(rows) == items else jax.tree.map(lambda leaf: leaf[:items], found)
+
+    return call
+
+
+def _place(leaf: Any, rows: np.ndarray, spread: NamedSharding) -> jax.Array:
+    """Put each device's share of a leaf on it; the leaf is whole on every host."""
+    if jnp.issubdtype(getattr(leaf, "dtype", np.float32), jax.dtypes.prng_key):
+        return jax.device_put(leaf[rows], spread)
+    whole = np.asarray(leaf)[rows]
+    return jax.make_array_from_callback(whole.shape, spread, lambda index: whole[index])
+
+
+def gather(tree: PyTree) -> PyTree:
+    """Bring results to the host of every process.
+
+    Args:
+        tree: what a function made by `shards` returned.
+
+    Returns:
+        The same tree with NumPy arrays, whole on each process.
+    """
+    if jax.process_count() == 1:
+        return jax.tree.map(np.asarray, tree)
+    from jax.experimental.multihost_utils import process_allgather
+
+    return jax.tree.map(np.asarray, process_allgather(tree, tiled=True))
+
+
+__all__ = ["gather", "mesh", "shards"]
