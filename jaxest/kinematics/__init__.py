@@ -1,14 +1,22 @@
 """Robots and their kinematics: load a model once, then pure functions of `(robot, q)`.
 
-Start with `load` (MJCF or URDF) and `forward`; then `jacobian`, `gravity_torque`, `with_parameters` to change or tune
-a robot's numbers, `expand` for coupled joints. Each function takes one configuration; batch it with `jax.vmap` and
+Start with `load` (MJCF or URDF) and `forward`; then `jacobian`; the dynamics `gravity_torque`, `inverse_dynamics`,
+`mass_matrix`, `bias_force`, `forward_dynamics`; `with_parameters` to change or tune a robot's numbers, `expand` for
+coupled joints. Each function takes one configuration; batch it with `jax.vmap` and
 compile it with `jax.jit`. Chains of links are scans, so that the batch stays fast for 4 to 50 joints, gradients
 included.
 
 Not here: sensors on the robot (`jaxest.sensors`), estimation of its state (`jaxest.systems`).
 """
 
-from jaxest.kinematics.dynamics import gravity_torque
+from jaxest.kinematics.dynamics import (
+    bias_force,
+    forward_dynamics,
+    gravity_torque,
+    inverse_dynamics,
+    mass_matrix,
+    passive_torque,
+)
 from jaxest.kinematics.forward import Frames, forward
 from jaxest.kinematics.jacobian import jacobian
 from jaxest.kinematics.load import load
@@ -18,11 +26,16 @@ __all__ = [
     "Frames",
     "Robot",
     "Topology",
+    "bias_force",
     "expand",
     "forward",
+    "forward_dynamics",
     "frame",
     "gravity_torque",
+    "inverse_dynamics",
     "jacobian",
     "load",
+    "mass_matrix",
+    "passive_torque",
     "with_parameters",
 ]

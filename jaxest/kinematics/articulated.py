@@ -16,10 +16,10 @@ from jaxest.kinematics.recursion import (
     Matrix,
     Placed,
     Symmetric,
-    symmetric_times,
-    units,
-    to_parent,
     project,
+    symmetric_times,
+    to_parent,
+    units,
 )
 from jaxest.kinematics.rows import SYMMETRIC
 from jaxest.kinematics.sequence import Sequence, inward, outward

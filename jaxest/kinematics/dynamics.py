@@ -177,20 +177,25 @@ def _mass_matrix(order: Sequence, numbers: Numbers, q: Array) -> Array:
     if not count:
         return jnp.zeros((0, 0), q.dtype)
     placed = _place(order, numbers, q)
-    torque, force = composite_forces(order, placed)
-    point = points(order, placed)
-    inner, outer = (lambda x: tuple(p[:, None] for p in x)), (lambda x: tuple(p[None, :] for p in x))
-    force_there = outer(force)
-    entries: Any = 0
-    if placed.turn is not None:
-        arm = c.sub(outer(point), inner(point))
-        entries = c.dot(inner(placed.turn), c.add(outer(torque), c.cross(arm, force_there)))
-    if placed.slide is not None:
-        entries = entries + c.dot(inner(placed.slide), force_there)
-    above = jnp.where(_ancestors(order), entries, 0)
+    steps = (placed.turn, placed.slide, points(order, placed), *composite_forces(order, placed))
+    turn, slide, point, torque, force = jax.tree.map(partial(_out_of_order, order), steps)
     back = np.argsort(order.velocity)
-    whole = above + above.T * (1 - np.eye(count, dtype=q.dtype))
-    return whole[back][:, back] + jnp.diag(numbers.armature)
+    above = _ancestors(order)[back][:, back]
+
+    def row(
+        _: None, outer: Any
+    ) -> Any:  # a row at a time: all at once XLA would go through the batch with large strides
+        point_there, torque_there, force_there, carries = outer
+        entries: Any = 0
+        if turn is not None:
+            arm = c.sub(point_there, point)
+            entries = c.dot(turn, c.add(torque_there, c.cross(arm, force_there)))
+        if slide is not None:
+            entries = entries + c.dot(slide, force_there)
+        return None, jnp.where(carries, entries, 0)
+
+    half = jax.lax.scan(row, None, (point, torque, force, above.T))[1]
+    return half + half.T * (1 - np.eye(count, dtype=q.dtype)) + jnp.diag(numbers.armature)
 
 
 def _ancestors(order: Sequence) -> np.ndarray:
@@ -225,9 +230,9 @@ def _solved(order: Sequence, numbers: Numbers, q: Array, v: Array, tau: Array) -
 @partial(_forward_dynamics.defjvp, symbolic_zeros=True)
 def _forward_dynamics_jvp(order: Sequence, primals: Any, tangents: Any) -> tuple[Array, Array]:
     """Differentiate M a + h = tau: M da = dtau - d(M a + h) at constant a."""
-    *moving, tau = primals
-    a, (placed, factors) = _solved(order, *moving, tau)
-    leaves, tree = jax.tree.flatten(tuple(moving))
+    numbers, q, v, tau = primals
+    a, (placed, factors) = _solved(order, numbers, q, v, tau)
+    leaves, tree = jax.tree.flatten((numbers, q, v))
     dots = jax.tree.leaves(tuple(tangents[:-1]), is_leaf=lambda x: isinstance(x, SymbolicZero))
     moved = [k for k, dot in enumerate(dots) if not isinstance(dot, SymbolicZero)]
     rest = jnp.zeros_like(tau) if isinstance(tangents[-1], SymbolicZero) else tangents[-1]

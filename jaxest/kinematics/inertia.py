@@ -55,7 +55,7 @@ def lump(robot: Robot, folded: Folded) -> Lump:
     centre = xp.stack(c.add(c.split(position), c.rotate(turn, c.split(com))), -1)
     columns = xp.stack([xp.stack(c.rotate(turn, unit), -1) for unit in _units(xp, mass)], -1)  # (nb, 3, 3) to the joint
     turned = xp.einsum("bij,bjk,blk->bil", columns, own, columns)
-    square = (centre * centre).sum(-1)[:, None, None] * np.eye(3, dtype=mass.dtype)
+    square = (centre * centre).sum(-1)[:, None, None] * np.eye(3, dtype=mass.dtype)[None]
     spread = mass[:, None, None] * (square - centre[:, :, None] * centre[:, None, :])
     carrier = np.array(carriers(robot.topology).frame[:bodies], int)
     membership = np.equal(carrier[None, :], np.arange(joints)[:, None]).astype(mass.dtype)

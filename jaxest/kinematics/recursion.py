@@ -68,6 +68,7 @@ def place(order: Sequence, rows: Place, carried: Mass) -> Placed:
 
 
 def units(component: Array) -> tuple[Array, Array]:
+    """Return 0 and 1 of a component's type."""
     return jnp.zeros((), component.dtype), jnp.ones((), component.dtype)
 
 
@@ -84,6 +85,7 @@ def _turned(quaternion: c.Quaternion, inertia: Symmetric) -> Symmetric:
 
 
 def symmetric_times(m: Symmetric, v: c.Vector) -> c.Vector:
+    """Return the product of a symmetric matrix and a vector."""
     return (
         m[0] * v[0] + m[1] * v[1] + m[2] * v[2],
         m[1] * v[0] + m[3] * v[1] + m[4] * v[2],

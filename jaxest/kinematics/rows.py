@@ -108,7 +108,9 @@ def places(order: Sequence, numbers: Numbers, q: Array) -> Place:
     if (kind == SLIDE).any():
         translation = c.add(translation, c.scale(c.rotate(fixed, axis), _only(kind == SLIDE, displacement)))
     turned = c.multiply(fixed, (jnp.zeros_like(axis[0]), *axis))
-    rotation = tuple(_only(scalar, f * cosine + _only(kind == HINGE, t) * sine) for f, t in zip(fixed, turned, strict=True))
+    rotation = tuple(
+        _only(scalar, f * cosine + _only(kind == HINGE, t) * sine) for f, t in zip(fixed, turned, strict=True)
+    )
     if not scalar.all():
         rotation = tuple(r + e for r, e in zip(rotation, _quaternion_rotations(order, numbers, q), strict=True))
         unit = np.eye(3, dtype=q.dtype)[np.array(order.place) % 3]

@@ -4,6 +4,9 @@ A scan per chain would compile a program per chain. Instead the joints stand in 
 and a few registers remember the state at a branching until its last branch has been started: none for a serial arm,
 one for most humanoids and hands. A ball or free joint takes a step per velocity coordinate, like a row of hinges and
 slides at one point.
+
+A gradient computes a step's inner values again (`jax.checkpoint`) rather than read them back from memory: measured,
+a quarter of the time for a humanoid of 27 coordinates in batches of 1024.
 """
 
 import functools
@@ -107,9 +110,9 @@ def _steps(topology: Topology, carried: tuple[int, ...], order: list[tuple[int, 
                 )
             )
         last[joint] = len(rows) - 1
-    columns = tuple(tuple(column) for column in zip(*rows, strict=True)) or ((),) * 6
-    registers = max(columns[4], default=-1) + 1
-    return Sequence(*columns, registers, topology.joint_kind, topology.joint_q)
+    joints, places, velocities, starts, kept, parents = (tuple(row[k] for row in rows) for k in range(6))
+    registers = max(kept, default=-1) + 1
+    return Sequence(joints, places, velocities, starts, kept, parents, registers, topology.joint_kind, topology.joint_q)
 
 
 class _Flags(NamedTuple):
@@ -157,7 +160,7 @@ def outward(order: Sequence, step: Callable[[Any, Any], tuple[Any, Any]], world:
             state = _choose(take, register, state)
         for flag in flags.world:
             state = _choose(flag, world, state)
-        state, out = step(state, own)
+        state, out = jax.checkpoint(step, prevent_cse=False)(state, own)
         kept = tuple(_choose(keep, state, register) for keep, register in zip(flags.keep, kept, strict=True))
         return (state, kept), out
 
@@ -182,9 +185,9 @@ def inward(order: Sequence, step: Callable[[Any, Any], tuple[Any, Any]], nothing
         flags, own = now
         for keep, register in zip(flags.keep, kept, strict=True):
             received = jax.tree.map(jnp.add, received, _choose(keep, register, nothing))
-        passed, out = step(received, own)
+        passed, out = jax.checkpoint(step, prevent_cse=False)(received, own)
         kept = tuple(
-            _choose(take, jax.tree.map(jnp.add, passed, _choose(keep, nothing, register)), _choose(keep, nothing, register))
+            jax.tree.map(jnp.add, _choose(take, passed, nothing), _choose(keep, nothing, register))
             for keep, take, register in zip(flags.keep, flags.take, kept, strict=True)
         )
         for flag in flags.previous:
