@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from kalman_models import build as kalman_body
 
-from jaxest.filters import complementary, run
+from jaxest.filters import complementary, kalman, run
 from jaxest.io.checkpoint import load_state, save_state
 from jaxest.systems import orientation
 from jaxest.types import NON_FINITE, OK, Reading, System
@@ -36,6 +37,8 @@ ROWS = [
     Row("orientation_9", orientation.build),
     Row("orientation_projection", partial(orientation.build, None, SIX, update=complementary.projection)),
     Row("orientation_covariance", partial(orientation.build, covariance=True), {"shaking": 1.0}),
+    Row("kalman", kalman_body),
+    Row("kalman_iterated", partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0)),
 ]
 STEPS = 12
 BATCH = 8

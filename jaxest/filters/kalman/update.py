@@ -65,8 +65,8 @@ def update(
         belief: mean and covariance (n, n); the covariance may be singular.
         factors: one `Factor`, or several that are independent given the state.
         iterations: linearisations at most; static, 1 is the extended Kalman filter.
-        tolerance: () longest last step that counts as converged, in standard deviations; the root of the dtype's eps
-            if None.
+        tolerance: () longest last step that counts as converged, in standard deviations of the
+            posterior; the cube root of the dtype's eps (6e-6, 5e-3) if None.
         gain: `measurement_gain`, `state_gain`, or `by_size`, which takes the smaller.
 
     Returns:
@@ -93,7 +93,7 @@ def update(
     start, steps, settled = zero, jnp.int32(1), jnp.bool_(True)
     if iterations > 1:
         if tolerance is None:
-            tolerance = float(jnp.finfo(covariance.dtype).eps) ** 0.5
+            tolerance = float(jnp.finfo(covariance.dtype).eps) ** (1 / 3)
         start, steps, settled = _iterate(linearized, zero, iterations, jnp.asarray(tolerance, covariance.dtype))
     gained, rows = linearized(start)
     mean = manifold.retract(belief.mean, gained.correction)
