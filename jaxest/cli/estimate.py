@@ -59,12 +59,14 @@ def run(
     from jaxest.cli.tables import figures
     from jaxest.cli.window import windowed
     from jaxest.io import read, write
-    from jaxest.io.files import replacing
+    from jaxest.io.files import existing, replacing
     from jaxest.io.report import Row, report, to_json
 
     if method not in methods.METHODS:
         raise methods.unknown_name("method", method, methods.METHODS)
     targets = _targets(out, method, force)
+    if robot is not None:
+        existing(robot)
     chosen = settings.load(config)
     whole = read(log, chosen.columns)
     if whole.notes:

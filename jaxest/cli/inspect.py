@@ -18,6 +18,7 @@ EXAMPLES = (
 )
 ROBOTS = (".xml", ".mjcf", ".urdf")
 LOGS = (".npz", ".csv")
+NOTHING = "# nothing needs to be said about this log\n"  # so that the lines can be pasted in any case
 
 
 @command
@@ -77,6 +78,7 @@ def _robot(file: Path, json: bool) -> Answer:
 
 def _log(file: Path, config: Path | None, json: bool) -> Answer:
     from jaxest.cli import log_view, settings
+    from jaxest.cli.methods.orientation import imus
     from jaxest.io import read, to_toml
     from jaxest.io.inspect import summarize
     from jaxest.io.report import report
@@ -88,6 +90,7 @@ def _log(file: Path, config: Path | None, json: bool) -> Answer:
     try:
         log = read(file, proposal.table if proposal else columns)
         summary = summarize(log)
+        text = log_view.with_settings(text, summary, imus(log))
     except InputError:
         if not unsure:
             raise
@@ -96,16 +99,16 @@ def _log(file: Path, config: Path | None, json: bool) -> Answer:
         notes = list(proposal.assumed if proposal else log.notes)
         found = report(NAME, log_view.rows(summary) if summary else [])
         plain = log_view.plain(summary) if summary else {}
-        return Answer(json_object(found, config=text, open=list(unsure), notes=notes, **plain))
+        return Answer(json_object(found, config=text or NOTHING, open=list(unsure), notes=notes, **plain))
     out = console()
     if summary:
         log_view.show(summary, str(file), out)
-    if not proposal:
-        for line in log.notes:
-            note(line)
+    for line in () if proposal else log.notes:
+        note(line)
+    if not text:
         return Answer()
-    what = "only you can settle what is open" if unsure else "read by this guess"
-    out.print(f"\n{what}; put the right lines into a config:\n")
+    what = "only you can settle what is open; p" if unsure else "read by this guess; p" if proposal else "P"
+    out.print(f"\n{what}ut the right lines into a config:\n")
     log_view.show_config(text, out)
     return Answer()
 

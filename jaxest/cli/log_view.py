@@ -1,5 +1,6 @@
 """How `inspect` shows a log: a table of streams, clocks, what looks wrong, and a config to paste."""
 
+import json
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,11 @@ from rich.markup import escape
 from rich.syntax import Syntax
 from rich.table import Table
 
+from jaxest.cli.methods.orientation import KINDS
 from jaxest.cli.tables import grid, number
 from jaxest.io.inspect import StreamSummary, Summary
 from jaxest.io.report import Row
+from jaxest.io.units import kind_of
 
 
 def rows(summary: Summary) -> list[Row]:
@@ -51,6 +54,28 @@ def show(summary: Summary, title: str, out: Console) -> None:
         out.print(f"[yellow]warning:[/] {escape(line)}", soft_wrap=True)
     if not summary.warnings:
         out.print("[green]nothing looks wrong[/]")
+
+
+def with_settings(text: str, summary: Summary, imus: list[str]) -> str:
+    """Put around a config what `estimate` needs to be told about a log, beside its layout.
+
+    Args:
+        text: the lines of `[columns]`, or nothing.
+        summary: from `jaxest.io.inspect.summarize`.
+        imus: names of the IMUs; one of several is to be chosen.
+
+    Returns:
+        TOML text; nothing where nothing needs to be said.
+    """
+    missing = sum(s.missing for s in summary.streams if kind_of(s.name) in KINDS)
+    parts = []
+    if missing:
+        parts.append(f'nan = "missing"  # {missing} rows are not finite; without this line they are refused\n')
+    parts += [text] if text else []
+    if len(imus) > 1:
+        others = ", ".join(json.dumps(name) for name in imus[1:])
+        parts.append(f"[orientation]\nimu = {json.dumps(imus[0])}  # or {others}\n")
+    return "\n".join(parts)
 
 
 def show_config(text: str, out: Console) -> None:

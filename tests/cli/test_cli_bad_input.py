@@ -40,6 +40,11 @@ def test_folder_instead_of_file(refused, tmp_path):
     assert "is a folder, expected a file" in refused("inspect", tmp_path)
 
 
+def test_no_such_robot(refused, tmp_path):
+    write(turning(), tmp_path / "a.npz")
+    assert "no.urdf: no such file" in refused("estimate", "a.npz", *ESTIMATE, "--robot", "no.urdf")
+
+
 def test_empty_file(refused, tmp_path):
     (tmp_path / "a.npz").touch()
     assert "a.npz: the file is empty" in refused("estimate", "a.npz", *ESTIMATE)

@@ -94,6 +94,42 @@ def test_proposed_config_reads_the_log(invoke, tmp_path):
     assert json.loads(invoke("inspect", "a.npz", "--json").stdout)["config"].strip() == config.strip()
 
 
+def foreign(tmp_path, imus):
+    """A CSV of some IMUs, with a missing reading."""
+    log = turning(magnetometer=False)
+    readings = {kind: log.streams[kind].value.copy() for kind in ("gyroscope", "accelerometer")}
+    readings["gyroscope"][7, 1] = np.nan
+    names, columns = ["t"], [log.streams["gyroscope"].time]
+    for imu in imus:
+        for kind, value in readings.items():
+            names += [f"{imu}{kind[:3]}_{axis}" for axis in "xyz"]
+            columns += list(value.T)
+    np.savetxt(tmp_path / "theirs.csv", np.stack(columns, axis=-1), delimiter=",", header=",".join(names), comments="")
+    return "theirs.csv"
+
+
+@pytest.mark.parametrize("imus", [[""], ["left_", "right_"]])
+def test_proposed_config_makes_estimate_work(invoke, tmp_path, imus):
+    file = foreign(tmp_path, imus)
+    assert invoke("estimate", file, "-m", "orientation").exit_code == 2
+    config = json.loads(invoke("inspect", file, "--json").stdout)["config"]
+    assert config.strip() in invoke("inspect", file).stdout
+    (tmp_path / "config.toml").write_text(config)
+    result = invoke("estimate", file, "-m", "orientation", "-c", "config.toml")
+    assert result.exit_code == 0, result.output
+
+
+def test_the_config_of_our_own_layout(invoke, tmp_path):
+    log = turning(magnetometer=False)
+    write(log, tmp_path / "a.npz")
+    assert tomllib.loads(json.loads(invoke("inspect", "a.npz", "--json").stdout)["config"]) == {}
+    for name in ("gyroscope", "accelerometer"):
+        log.streams[f"imu0/{name}"], log.streams[f"imu1/{name}"] = log.streams[name], log.streams.pop(name)
+    write(log, tmp_path / "b.npz")
+    found = json.loads(invoke("inspect", "b.npz", "--json").stdout)["config"]
+    assert tomllib.loads(found) == {"orientation": {"imu": "imu0"}}
+
+
 def test_open_layout_is_shown_with_lines_to_paste(invoke, tmp_path):
     np.savez(tmp_path / "a.npz", gyr=np.zeros((5, 3)), acc=np.ones((5, 3)))
     result = invoke("inspect", "a.npz")

@@ -138,15 +138,20 @@ def choose(log: SensorLog, request: Request) -> Choice:
     return Choice(prefix, kinds, params, update)
 
 
+def imus(log: SensorLog) -> list[str]:
+    """Return the names of a log's IMUs, `imu0` for `imu0/gyroscope`; none where its gyroscope has no prefix."""
+    if "gyroscope" in log.streams:
+        return []
+    return [name.removesuffix("/gyroscope") for name in log.streams if name.endswith("/gyroscope")]
+
+
 def _only_imu(log: SensorLog) -> str:
     """The prefix of the one IMU of the log; nothing where its streams have none."""
-    found = [name.removesuffix("/gyroscope") for name in log.streams if name.endswith("/gyroscope")]
-    if "gyroscope" in log.streams or not found:
-        return ""
+    found = imus(log)
     if len(found) > 1:
         lines = "\n".join(f'imu = "{name}"' for name in found)
         raise InputError(f"{where(log)}there are several IMUs; put one of these into a config:\n[orientation]\n{lines}")
-    return found[0]
+    return found[0] if found else ""
 
 
 def _numbers(settings: Mapping[str, Any], fields: tuple[str, ...], place: str) -> dict[str, float]:
