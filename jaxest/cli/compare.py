@@ -28,7 +28,7 @@ def run(
     """Compare two orientations: errors in degrees as BROAD defines them, NEES and coverage where a covariance is there.
 
     The truth is interpolated at the times of the estimate. A stream `movement` beside the truth says which samples
-    count. Without a magnetometer (as `estimate` notes in its output) only the inclination is judged.
+    count. If either is without a magnetometer (as `estimate` notes in its output) only the inclination is judged.
     """
     del verbose
     import numpy as np
@@ -58,7 +58,7 @@ def run(
         true[known],
         covariance=None if covariance is None else covariance.value[known],
         movement=None if moving is None else moving[known],
-        heading=item.extra.get("heading") != "free",
+        heading=all(one.extra.get("heading") != "free" for one in (item, theirs.streams[other])),
         condition="moving" if moving is not None else "",
         place=str(truth),
     )

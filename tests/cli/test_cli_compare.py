@@ -112,3 +112,15 @@ def test_one_of_several(invoke, tmp_path):
     save(tmp_path / "b.npz", time, orientation(time))
     assert invoke("compare", "a.npz", "b.npz").exit_code == 2
     assert compared(invoke, "a.npz", "b.npz", "--stream", "hand/orientation")["total RMSE"]["value"] < 1e-6
+
+
+@pytest.mark.parametrize("order", [("six.npz", "nine.npz"), ("nine.npz", "six.npz")])
+def test_a_free_heading_on_either_side_is_not_judged(invoke, tmp_path, order):
+    time = np.arange(50) / 50
+    turned = wxyz(Rotation.from_euler("Z", 40, degrees=True) * rotation(orientation(time)))
+    save(tmp_path / "nine.npz", time, orientation(time))
+    six = Stream(time, turned, "1", extra={"heading": "free"})
+    write(SensorLog({"orientation": six}), tmp_path / "six.npz")
+    rows = compared(invoke, *order)
+    assert set(rows) == {"inclination RMSE"}
+    assert rows["inclination RMSE"]["value"] < 1e-6

@@ -182,6 +182,30 @@ def test_result_that_must_not_be_used(invoke, tmp_path):
     assert json.loads(result.stdout)["name"] == "orientation"
 
 
+def test_steps_that_are_too_long_for_the_covariance(invoke, tmp_path):
+    rate, n = np.array([2.0, -1.5, 2.5]), 300
+    time, up = np.arange(n) * 10.0, np.tile([0.0, 0.0, 9.81], (n, 1))
+    streams = {"gyroscope": Stream(time, np.tile(rate, (n, 1)), "rad/s"), "accelerometer": Stream(time, up, "m/s2")}
+    write(SensorLog(streams), tmp_path / "a.npz")
+    result = invoke("estimate", "a.npz", *ESTIMATE)
+    assert result.exit_code == 3
+    assert "its covariance is not finite: steps of 10 s are too long" in result.stderr
+
+
+def test_a_gap_is_noted(invoke, tmp_path):
+    log = turning(magnetometer=False)
+    late = {name: item._replace(time=item.time + 30 * (item.time > 1)) for name, item in log.streams.items()}
+    write(SensorLog(late), tmp_path / "a.npz")
+    assert "no sample for 30 s until 31.010 s" in invoke("estimate", "a.npz", *ESTIMATE).stderr
+
+
+def test_the_truth_of_a_camera(invoke, tmp_path):
+    log = turning(truth=True)
+    log.streams["camera/orientation"] = log.streams.pop("orientation")
+    write(log, tmp_path / "a.npz")
+    assert "to camera/orientation in the log" in invoke("estimate", "a.npz", *ESTIMATE).stdout
+
+
 def test_window(invoke, tmp_path):
     write(turning(start=1.7e9), tmp_path / "a.npz")  # seconds since 1970: the window counts from the first sample
     assert invoke("estimate", "a.npz", *ESTIMATE, "--start", "0.495", "--end", "1.5").exit_code == 0

@@ -11,6 +11,7 @@ from jaxest.cli.methods import SIZE, Outcome, Request
 from jaxest.io import SensorLog, Stream, ticks, to_si
 from jaxest.io.log import finite_rows, stream, where
 from jaxest.io.report import Row
+from jaxest.io.units import kind_of
 from jaxest.types import InputError, Reading, unknown_name
 
 KINDS = ("gyroscope", "accelerometer", "magnetometer")
@@ -68,15 +69,16 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
         },
         log.source,
     )
-    truth, movement = _truth(log, choice, steps.time)
+    truth, movement, known = _truth(log, choice, steps.time)
     rows = [Row(SIZE[0], "", float(len(steps.time)), "1"),
             Row(SIZE[1], "", float(steps.time[-1] - steps.time[0]), "s")]  # fmt: skip
     notes = [f"used {', '.join(choice.names)}" + ("" if heading else "; no magnetometer, so the heading is free")]
+    notes += _gap(choice, steps)
     if truth is not None:
-        condition = f"to {choice.prefix}orientation in the log" + (", moving" if movement is not None else "")
+        condition = f"to {known} in the log" + (", moving" if movement is not None else "")
         rows += orientation_errors.rows(
             settled[0], truth, covariance=settled[1], movement=movement, heading=heading, condition=condition,
-            place=f"{where(log)}stream {choice.prefix + 'orientation'!r}",
+            place=f"{where(log)}stream {known!r}",
         )  # fmt: skip
 
     def draw(path: Any, title: str) -> None:
@@ -206,14 +208,28 @@ def _run(choice: Choice, steps: Any) -> Any:
 
 def _truth(
     log: SensorLog, choice: Choice, time: NDArray[np.float64]
-) -> tuple[NDArray[np.float64] | None, NDArray[np.bool_] | None]:
-    """The log's own orientation and movement at the estimate's times, if it has them."""
+) -> tuple[NDArray[np.float64] | None, NDArray[np.bool_] | None, str]:
+    """The log's own orientation and movement at the estimate's times, if it has them, and the orientation's name."""
     from jaxest.cli.truth import at
 
     name, moving = choice.prefix + "orientation", choice.prefix + "movement"
+    known = [other for other in log.streams if kind_of(other) == "orientation"]
+    if not choice.prefix and name not in known and len(known) == 1:  # of a camera, beside the one IMU
+        name = known[0]
     if name not in log.streams:
-        return None, None
-    return at(log, name, log.streams.get(moving, log.streams.get("movement")), time)
+        return None, None, ""
+    truth, movement = at(log, name, log.streams.get(moving, log.streams.get("movement")), time)
+    return truth, movement, name
+
+
+def _gap(choice: Choice, steps: Any) -> list[str]:
+    """Say where the readings pause for longer than the filter needs to settle."""
+    gain = choice.params.filter.proportional_gain * choice.params.filter.lambda_acc
+    worst = int(np.argmax(steps.dt))
+    if not steps.dt[worst] * gain > 1:
+        return []
+    pause, end = steps.dt[worst], steps.time[worst] - steps.time[0]
+    return [f"no sample for {pause:.3g} s until {end:.3f} s: behind such a gap the estimate settles anew"]
 
 
 def _refused(info: Any, steps: Any) -> list[str]:
@@ -221,8 +237,13 @@ def _refused(info: Any, steps: Any) -> list[str]:
     valid = np.asarray(info.valid)
     if not valid[-1]:
         reasons.append("the orientation was never settled: no usable accelerometer (or magnetometer) sample")
-    if not np.isfinite(np.asarray(info.quaternion)).all() or not np.isfinite(np.asarray(info.covariance)).all():
+    if not np.isfinite(np.asarray(info.quaternion)).all():
         reasons.append("the estimate is not finite")
+    elif not np.isfinite(np.asarray(info.covariance)).all():
+        step = float(np.median(steps.dt[1:])) if len(steps.dt) > 1 else 0.0
+        reasons.append(
+            f"its covariance is not finite: steps of {step:.3g} s are too long for these gains and this motion"
+        )
     gyro = next(iter(steps.readings.values())).valid
     if np.mean(~gyro) > MISSING:
         reasons.append(
