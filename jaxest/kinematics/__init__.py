@@ -2,7 +2,7 @@
 
 Start with `load` (MJCF or URDF) and `forward`; then `jacobian`; the dynamics `gravity_torque`, `inverse_dynamics`,
 `mass_matrix`, `bias_force`, `forward_dynamics`; `with_parameters` to change or tune a robot's numbers, `expand` for
-coupled joints. Each function takes one configuration; batch it with `jax.vmap` and
+coupled joints; `inverse_kinematics` for `Target`s. Each function takes one configuration; batch it with `jax.vmap` and
 compile it with `jax.jit`. Chains of links are scans, so that the batch stays fast for 4 to 50 joints, gradients
 included.
 
@@ -18,6 +18,7 @@ from jaxest.kinematics.dynamics import (
     passive_torque,
 )
 from jaxest.kinematics.forward import Frames, forward
+from jaxest.kinematics.inverse import Solution, Target, inverse_kinematics, search_inverse_kinematics
 from jaxest.kinematics.jacobian import jacobian
 from jaxest.kinematics.load import load
 from jaxest.kinematics.robot import Robot, Topology, expand, frame, with_parameters
@@ -25,6 +26,8 @@ from jaxest.kinematics.robot import Robot, Topology, expand, frame, with_paramet
 __all__ = [
     "Frames",
     "Robot",
+    "Solution",
+    "Target",
     "Topology",
     "bias_force",
     "expand",
@@ -33,9 +36,11 @@ __all__ = [
     "frame",
     "gravity_torque",
     "inverse_dynamics",
+    "inverse_kinematics",
     "jacobian",
     "load",
     "mass_matrix",
     "passive_torque",
+    "search_inverse_kinematics",
     "with_parameters",
 ]
