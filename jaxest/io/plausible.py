@@ -47,6 +47,22 @@ def field_unit(value: NDArray[Any]) -> str:
     return next((unit for unit, (low, high) in bands.items() if low <= norm <= high), "1")
 
 
+def time_unit(stamps: NDArray[Any]) -> str:
+    """Return the unit of stamps (n,) from the size of stamps since 1970, or from their step; nothing where it is open."""
+    if stamps.dtype.kind == "M" or len(stamps) < 2:
+        return "s"
+    for unit, per_second in (("ns", 1e9), ("us", 1e6), ("ms", 1e3), ("s", 1.0)):
+        if 5e8 < float(stamps[0]) / per_second < 5e9:  # 1985 to 2128
+            return unit
+    return "s" if float(np.median(np.diff(stamps.astype(np.float64)))) < 0.5 else ""
+
+
+def likely_time_unit(step: float) -> str:
+    """Return the unit in which stamps a `step` apart make a rate between 1 Hz and 5 kHz, or nothing."""
+    usual = {"ms": 1e3, "us": 1e6, "ns": 1e9}
+    return next((unit for unit, per_second in usual.items() if 1 <= per_second / max(step, 1e-9) <= 5e3), "")
+
+
 def too_fast(gyr: NDArray[Any]) -> bool:
     """Say whether the rates (n, 3) are beyond what a gyroscope measures, if they were rad/s."""
     norm = np.linalg.norm(_finite(gyr), axis=1)

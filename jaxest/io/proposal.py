@@ -216,10 +216,12 @@ def _clock(raw: Raw, words: dict[str, Word], name: str, entry: _Found, assumed: 
             unsure.append(f"{name}: stamps could be any of {', '.join(times)}")
         stamps, unit = raw.arrays[times[0]].ravel(), words[times[0]].unit
         column = column._replace(time=times[0])
-    time_unit = unit or _time_unit(stamps)
+    time_unit = unit or plausible.time_unit(stamps)
     if not time_unit:
         step = float(np.median(np.diff(stamps.astype(np.float64))))
-        unsure.append(f"{name}: the unit of its stamps {column.time!r} is open (median step {step:g})")
+        time_unit = plausible.likely_time_unit(step)
+        likely = f"; {time_unit} is likely" if time_unit else ""
+        unsure.append(f"{name}: the unit of its stamps {column.time!r} is open (median step {step:g}){likely}")
     elif time_unit != "s":
         assumed.append(f"{name}: stamps {column.time!r} taken as {time_unit}")
     return column._replace(time_unit=time_unit)
@@ -237,16 +239,6 @@ def _rate(raw: Raw, words: dict[str, Word], name: str, entry: _Found, assumed: l
     assumed.append(f"{mine[0]} = {value:.6g} taken as sampling {scalars[mine[0]].kind}")
     rate: float | str = 1 / value if scalars[mine[0]].kind == "period" and value > 0 else mine[0]
     return entry.column._replace(rate=rate)
-
-
-def _time_unit(stamps: NDArray[Any]) -> str:
-    """Tell the unit of stamps from the size of stamps since 1970, or from their step; nothing where it is open."""
-    if stamps.dtype.kind == "M" or len(stamps) < 2:
-        return "s"
-    for unit, per_second in (("ns", 1e9), ("us", 1e6), ("ms", 1e3), ("s", 1.0)):
-        if 5e8 < float(stamps[0]) / per_second < 5e9:  # 1985 to 2128
-            return unit
-    return "s" if float(np.median(np.diff(stamps.astype(np.float64)))) < 0.5 else ""
 
 
 def _with_unit(raw: Raw, name: str, streams: dict[str, _Found], assumed: list[str], unsure: list[str]) -> Column:

@@ -102,6 +102,13 @@ def test_what_is_open_is_asked_with_lines_to_paste(tmp_path, arrays, words):
     assert parse(tomllib.loads(to_toml(guess))["columns"]) == guess.table
 
 
+@pytest.mark.parametrize(("step", "unit"), [(10, "ms"), (2500, "us"), (10_000_000, "ns")])
+def test_the_likely_unit_of_stamps_is_proposed(tmp_path, step, unit):
+    guess = propose(save(tmp_path, gyr=np.zeros((N, 3)), t=np.arange(N) * step))
+    assert guess.table.time_unit == unit
+    assert f"is open (median step {step:g}); {unit} is likely" in guess.unsure[0]
+
+
 def test_the_pasted_lines_read_the_file(tmp_path):
     path = save(tmp_path, gyr=np.zeros((N, 3), np.float32), fs=1.0, rate=2.0)
     table = tomllib.loads(to_toml(propose(path)))["columns"]
