@@ -193,7 +193,9 @@ def is_concrete(*leaves: Any) -> bool:
     return not any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
 
 
-def _set(leaf: Any, index: int, value: ArrayLike) -> Any:
+def _set(leaf: Any, index: int, value: ArrayLike, place: str = "value") -> Any:
+    if np.shape(value) != leaf.shape[1:]:
+        raise ValueError(f"{place}: shape {np.shape(value)}, expected {leaf.shape[1:]}")
     if is_concrete(leaf, value):
         changed = np.array(leaf)
         changed[index] = value
@@ -225,12 +227,13 @@ def with_parameters(
 
     Raises:
         InputError: no such frame or body.
+        ValueError: a value has another shape.
     """
     bodies = len(robot.topology.body_names)
     changed: dict[str, Any] = {}
 
-    def change(field: str, index: int, value: ArrayLike) -> None:
-        changed[field] = _set(changed.get(field, getattr(robot, field)), index, value)
+    def change(field: str, index: int, value: ArrayLike, place: str) -> None:
+        changed[field] = _set(changed.get(field, getattr(robot, field)), index, value, place)
 
     def body(name: str) -> int:
         if name not in robot.topology.body_names:
@@ -241,13 +244,17 @@ def with_parameters(
         for name, value in (values or {}).items():
             index = frame(robot, name)
             owner, index = ("body", index) if index < bodies else ("site", index - bodies)
-            change(f"{owner}_{quantity}", index, value)
+            change(f"{owner}_{quantity}", index, value, f"{quantity}[{name!r}]")
     for name, value in (mass or {}).items():
-        change("body_mass", body(name), value)
+        change("body_mass", body(name), value, f"mass[{name!r}]")
     for name, value in (center_of_mass or {}).items():
-        change("body_com", body(name), value)
+        change("body_com", body(name), value, f"center_of_mass[{name!r}]")
     robot = dataclasses.replace(robot, **changed)
     for name, (point_mass, point) in (payload or {}).items():
+        if np.shape(point_mass) != () or np.shape(point) != (3,):
+            raise ValueError(
+                f"payload[{name!r}]: shapes {np.shape(point_mass)} and {np.shape(point)}, expected () and (3,)"
+            )
         robot = _attach(robot, body(name), point_mass, point)
     return robot
 

@@ -214,3 +214,19 @@ def test_packaged_robots():
         models.path("am")
     with pytest.raises(ValueError, match="joints: 0"):
         models.chain(0)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"position": {"b": [1, 2]}}, r"position\['b'\]: shape \(2,\), expected \(3,\)"),
+        ({"quaternion": {"b": [1, 0, 0]}}, r"quaternion\['b'\]: shape \(3,\), expected \(4,\)"),
+        ({"mass": {"b": [1]}}, r"mass\['b'\]: shape \(1,\), expected \(\)"),
+        ({"center_of_mass": {"b": 0.5}}, r"center_of_mass\['b'\]: shape \(\), expected \(3,\)"),
+        ({"payload": {"b": (1.0, [1, 2])}}, r"payload\['b'\]: shapes \(\) and \(2,\), expected"),
+    ],
+)
+def test_changed_numbers_of_a_wrong_shape_are_named(change, words):
+    robot = kinematics.load(urdf(link("a"), link("b"), joint("j", "a", "b")))
+    with pytest.raises(ValueError, match=words):
+        kinematics.with_parameters(robot, **change)
