@@ -48,7 +48,7 @@ def field_unit(value: NDArray[Any]) -> str:
 
 
 def time_unit(stamps: NDArray[Any]) -> str:
-    """Return the unit of stamps (n,) from the size of stamps since 1970, or from their step; nothing where it is open."""
+    """Return the unit of stamps (n,) from their size since 1970, or from their step; nothing where it is open."""
     if stamps.dtype.kind == "M" or len(stamps) < 2:
         return "s"
     for unit, per_second in (("ns", 1e9), ("us", 1e6), ("ms", 1e3), ("s", 1.0)):
