@@ -81,7 +81,7 @@ def read(path: PathLike, *, clock: Clock = "header", topics: Collection[str] = (
 
 def _readable(found: Bag, reason: str) -> str:
     if not found.messages:
-        return f"{reason}; nothing before that can be read"
+        return f"{reason}; no message can be read"
     return (
         f"{reason}; {found.messages} messages can be read, until {found.last / NS:.6f} s: "
         "jaxest.io.bags.read(..., partial=True) returns them"
@@ -101,20 +101,9 @@ def _known(path: Path, channels: Channels, wanted: set[str]) -> None:
         )
 
 
-def load(path: PathLike) -> tuple[Raw, Any]:
-    """Read a bag as arrays `STREAM/time`, `STREAM/value` that a column table may name, and as the log that it is.
-
-    Args:
-        path: as for `read`.
-
-    Returns:
-        The arrays, and a function that returns the log.
-
-    Raises:
-        InputError: as `read`.
-    """
-    log = read(path)
-    return arrays_of(log), lambda: log
+def is_bag_folder(path: PathLike) -> bool:
+    """Say whether a folder holds a ROS 2 bag."""
+    return (Path(path) / "metadata.yaml").is_file()
 
 
 def arrays_of(log: SensorLog) -> Raw:

@@ -4,8 +4,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jaxest.io import bags, csv, hdf5, lerobot, mcap, npz, parquet, proposal, tum
 from jaxest.io import columns as table_module
-from jaxest.io import csv, npz, proposal
+from jaxest.io.bags import arrays_of
 from jaxest.io.columns import ColumnTable
 from jaxest.io.files import PathLike, existing
 from jaxest.io.log import SensorLog, check
@@ -14,34 +15,82 @@ from jaxest.io.raw import Raw
 from jaxest.io.table_text import to_toml
 from jaxest.types import InputError
 
+Own = Callable[[], SensorLog]
+
 
 class Format(NamedTuple):
     """One kind of file."""
 
-    load: Callable[[PathLike], tuple[Raw, Callable[[], SensorLog] | None]]
-    """Reads the arrays, and returns how to read the log where the file is in our own layout."""
-    write: Callable[[SensorLog, PathLike, bool], None]
+    load: Callable[[PathLike], tuple[Raw, Own | None]]
+    """Reads the arrays, and returns how to read the log where the file says itself which streams it holds."""
+    write: Callable[[SensorLog, PathLike, bool], None] | None = None
+    """None for what is only read."""
 
 
-def _load_npz(path: PathLike) -> tuple[Raw, Callable[[], SensorLog] | None]:
+def _load_npz(path: PathLike) -> tuple[Raw, Own | None]:
     raw = npz.load(path)
     return raw, (lambda: npz.read_log(raw)) if npz.is_log(raw) else None
 
 
-def _load_csv(path: PathLike) -> tuple[Raw, Callable[[], SensorLog] | None]:
+def _load_csv(path: PathLike) -> tuple[Raw, Own | None]:
     cells, raw = csv.load(path)
     return raw, (lambda: csv.read_log(cells)) if cells.meta is not None else None
 
 
-FORMATS = {".npz": Format(_load_npz, npz.write_log), ".csv": Format(_load_csv, csv.write_log)}
+def _load_parquet(path: PathLike) -> tuple[Raw, Own | None]:
+    raw, meta = parquet.load(path)
+    return raw, None if meta is None else lambda: parquet.read_log(raw, meta)
 
 
-def _format(path: PathLike) -> Format:
+def _load_hdf5(path: PathLike) -> tuple[Raw, Own | None]:
+    raw = hdf5.load(path)
+    return raw, (lambda: npz.read_log(raw)) if npz.is_log(raw) else None
+
+
+def _load_whole(reader: Callable[[PathLike], SensorLog]) -> Callable[[PathLike], tuple[Raw, Own]]:
+    """For formats that say themselves what they hold: their streams' arrays are there for a column table to rename."""
+
+    def load(path: PathLike) -> tuple[Raw, Own]:
+        log = reader(path)
+        return arrays_of(log), lambda: log
+
+    return load
+
+
+_PARQUET, _HDF5 = Format(_load_parquet, parquet.write_log), Format(_load_hdf5, hdf5.write_log)
+_BAG, _LEROBOT = Format(_load_whole(bags.read)), Format(_load_whole(lerobot.read))
+FORMATS = {
+    ".npz": Format(_load_npz, npz.write_log),
+    ".csv": Format(_load_csv, csv.write_log),
+    ".parquet": _PARQUET,
+    ".pq": _PARQUET,
+    ".h5": _HDF5,
+    ".hdf5": _HDF5,
+    ".mcap": Format(_load_whole(bags.read), mcap.write_log),
+    ".bag": _BAG,
+    ".db3": _BAG,
+    ".tum": Format(_load_whole(tum.read_log), tum.write_log),
+}
+FOLDERS = "the folder of a ROS 2 bag (with metadata.yaml) or of a LeRobot dataset (with meta/info.json)"
+
+
+def is_log_folder(path: PathLike) -> bool:
+    """Say whether a folder is a log: a ROS 2 bag or a LeRobot dataset."""
+    return Path(path).is_dir() and (bags.is_bag_folder(path) or lerobot.is_dataset(path))
+
+
+def _format(path: PathLike, reading: bool = True) -> Format:
+    if reading and is_log_folder(path):
+        return _BAG if bags.is_bag_folder(path) else _LEROBOT
+    if reading and Path(path).is_dir():
+        raise InputError(f"{path}: is a folder, expected a file, or {FOLDERS}")
+    if reading:
+        existing(path)
     suffix = Path(path).suffix.lower()
-    if suffix not in FORMATS:
-        raise InputError(
-            f"{path}: logs are read and written as {' or '.join(FORMATS)}, not {suffix or 'without suffix'}"
-        )
+    usable = [s for s, entry in FORMATS.items() if reading or entry.write]
+    if suffix not in usable:
+        verb = "read" if reading else "written"
+        raise InputError(f"{path}: logs are {verb} as {', '.join(usable)}, not {suffix or 'without suffix'}")
     return FORMATS[suffix]
 
 
@@ -52,7 +101,8 @@ def read(path: PathLike, columns: ColumnTable | Mapping[str, Any] | None = None)
     through the table that `propose` guesses, if the file settles everything that matters.
 
     Args:
-        path: an `.npz` or `.csv` file.
+        path: an `.npz`, `.csv`, `.parquet`, `.h5`, `.tum`, `.bag`, `.mcap` or `.db3` file, or the folder of a ROS 2
+            bag or of a LeRobot dataset.
         columns: the `[columns]` table of a config, as a dict or parsed; for a file in another layout. A file in our
             own layout needs none, and one that names nothing in it is passed over.
 
@@ -64,7 +114,6 @@ def read(path: PathLike, columns: ColumnTable | Mapping[str, Any] | None = None)
         InputError: no such file, unreadable, bad stamps or shapes, unknown array or unit; and for a layout that
             leaves something open, the lines to paste into a config.
     """
-    existing(path)
     raw, own = _format(path).load(path)
     table = _table(path, columns)
     if table is not None and (own is None or _speaks_of(table, raw)):
@@ -97,20 +146,23 @@ def write(log: SensorLog, path: PathLike, overwrite: bool = False) -> None:
 
     Args:
         log: the log.
-        path: ends in `.npz` (exact and quick) or `.csv` (readable).
+        path: ends in `.npz` (exact and quick), `.csv` (readable), `.parquet` or `.h5` (exact, for other programs),
+            `.mcap` (ROS 2 messages; float64, ns), or `.tum` (one pose).
         overwrite: whether an existing file may be replaced.
 
     Raises:
         InputError: the log is not valid, the output exists (and `overwrite` is off) or cannot be written.
     """
-    _format(path).write(check(log), path, overwrite)
+    writer = _format(path, reading=False).write
+    assert writer is not None
+    writer(check(log), path, overwrite)
 
 
 def propose(path: PathLike) -> Proposal:
     """Guess the column table of somebody else's file from its names, shapes and magnitudes.
 
     Args:
-        path: an `.npz` or `.csv` file.
+        path: a file in somebody else's layout, `.npz`, `.csv`, `.parquet` or `.h5`.
 
     Returns:
         The table, what was assumed, and what remains open (`to_toml` turns it into lines to paste).
@@ -118,8 +170,9 @@ def propose(path: PathLike) -> Proposal:
     Raises:
         InputError: the file cannot be read, is in our own layout already, or holds nothing that looks like a stream.
     """
-    existing(path)
     raw, own = _format(path).load(path)
     if own is not None:
-        raise InputError(f"{path}: is in jaxest's own layout and needs no column table")
+        raise InputError(
+            f"{path}: is in jaxest's own layout, or says otherwise which streams it holds, and needs no column table"
+        )
     return proposal.guess(raw)

@@ -228,10 +228,12 @@ def test_no_such_file_text_empty_folder_and_suffix(tmp_path):
         read(tmp_path / "empty.npz")
     with pytest.raises(InputError, match="folder"):
         read(tmp_path)
-    (tmp_path / "log.bag").write_text("x")
-    with pytest.raises(InputError, match=r"\.npz or \.csv, not \.bag"):
-        read(tmp_path / "log.bag")
-    with pytest.raises(InputError, match=r"\.npz or \.csv, not without suffix"):
+    (tmp_path / "log.dat").write_text("x")
+    with pytest.raises(InputError, match=r"read as \.npz, \.csv, .*\.bag.*, not \.dat"):
+        read(tmp_path / "log.dat")
+    with pytest.raises(InputError, match=r"written as \.npz, \.csv, .*, not \.bag"):
+        write(example(), tmp_path / "log.bag")
+    with pytest.raises(InputError, match=r"written as \.npz, \.csv, .*, not without suffix"):
         write(example(), tmp_path / "log")
 
 
