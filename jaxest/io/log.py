@@ -150,14 +150,23 @@ def finite_rows(value: NDArray[Any]) -> NDArray[np.bool_]:
     return np.isfinite(value).all(axis=tuple(range(1, value.ndim)))
 
 
-def refuse_nan(item: Stream, place: str) -> None:
-    """Raise `InputError` if a value of the stream is not finite, naming the first such row and its time."""
+def refuse_nan(item: Stream, place: str, remedy: str = "pass nan='invalid'") -> None:
+    """Refuse a stream that holds values that are not finite.
+
+    Args:
+        item: the stream.
+        place: where it stands, for the message.
+        remedy: how to have such rows taken as missing.
+
+    Raises:
+        InputError: names the first such row and its time.
+    """
     bad = ~finite_rows(item.value)
     if bad.any():
         row = int(np.argmax(bad))
         raise InputError(
             f"{place}: row {row} at {item.time[row]:.6f} s is not finite: {item.value[row]} ({int(bad.sum())} of "
-            f"{len(bad)} rows); expected numbers, or pass nan='invalid' to take such rows as missing"
+            f"{len(bad)} rows); expected numbers, or {remedy} to take such rows as missing"
         )
 
 

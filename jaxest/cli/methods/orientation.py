@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from jaxest.cli import orientation_errors
 from jaxest.cli.methods import SIZE, Outcome, Request
 from jaxest.io import SensorLog, Stream, ticks, to_si
-from jaxest.io.log import finite_rows, stream, where
+from jaxest.io.log import refuse_nan, stream, where
 from jaxest.io.report import Row
 from jaxest.io.units import kind_of
 from jaxest.types import InputError, Reading, unknown_name
@@ -168,7 +168,8 @@ def _steps(log: SensorLog, choice: Choice, nan: str) -> Any:
     gyro = stream(log, choice.names[0])
     interval = float(np.median(np.diff(gyro.time))) if len(gyro.time) > 1 else 0.0
     if nan == "error":
-        _refuse_nan(log, choice)
+        for name in choice.names:
+            refuse_nan(stream(log, name), f"{where(log)}stream {name!r}", 'nan = "missing" in a config')
     steps = ticks(log, choice.names, tolerance=interval / 2, dtype=np.float32,
                   nan="invalid")  # fmt: skip
     value, valid = steps.readings[choice.names[0]]
@@ -176,18 +177,6 @@ def _steps(log: SensorLog, choice: Choice, nan: str) -> Any:
     near = (last >= 0) & (steps.time - steps.time[last] <= HOLD * interval)
     held: Any = np.where(near[:, None], value[last], value), near
     return steps._replace(readings={**steps.readings, choice.names[0]: Reading(*held)})
-
-
-def _refuse_nan(log: SensorLog, choice: Choice) -> None:
-    for name in choice.names:
-        item = stream(log, name)
-        bad = ~finite_rows(item.value)
-        if bad.any():
-            row = int(np.argmax(bad))
-            raise InputError(
-                f"{where(log)}stream {name!r}: row {row} at {item.time[row]:.6f} s is not finite ({int(bad.sum())} of "
-                f'{len(bad)} rows); expected numbers, or nan = "missing" in a config to take such rows as missing'
-            )
 
 
 def _run(choice: Choice, steps: Any) -> Any:
