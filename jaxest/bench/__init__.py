@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 CASES = {
     "import": "jaxest.bench.import_time",
     "kinematics": "jaxest.bench.kinematics",
+    "logs": "jaxest.bench.logs",
     "orientation": "jaxest.bench.orientation",
 }
 """Name of a case, and the module that holds it."""

@@ -106,10 +106,10 @@ def _cloud(block: Block, item: Layout) -> list[Part]:
 
 
 def _numbers(block: Block, item: Layout) -> list[Part]:
-    sizes = [p for p in item.fields if p.startswith("layout.dim.") and p.endswith(".size")]
     value = values(block, item, "data")
+    sizes = [p for p in item.fields if p.startswith("layout.dim.") and p.endswith(".size")]
     shape = tuple(int(values(block[:1], item, p)[0]) for p in sizes)
-    if len(block) and (not sizes or int(np.prod(shape)) != value.shape[1]):
+    if int(np.prod(shape)) != value.shape[1]:  # many publishers leave the layout empty
         shape = value.shape[1:]
     return [Part("", "", value.reshape(len(block), *shape), _all(block))]
 

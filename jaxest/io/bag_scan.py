@@ -5,6 +5,7 @@ from its beginning and raise `EOFError` or another error where it breaks; what c
 """
 
 import bz2
+import contextlib
 import sqlite3
 import struct
 import zlib
@@ -129,6 +130,9 @@ def _scan_mcap(path: Path, channels: Channels, wanted: Wanted) -> Messages:
             op, length = struct.unpack("<BQ", _exactly(file, 9, size, "record"))
             if op == 0x02:
                 return
+            if op == 0x06 and at + 9 + length > size:
+                yield from _mcap_cut(file.read(), schemas, channels, wanted)
+                raise EOFError(f"breaks off in the chunk at byte {at}: the file ends at byte {size}")
             if op == 0x06:
                 chunk = _mcap_chunk(path, _exactly(file, length, size, "chunk"), at)
                 yield from _mcap_records(chunk, schemas, channels, wanted)
@@ -139,6 +143,14 @@ def _scan_mcap(path: Path, channels: Channels, wanted: Wanted) -> Messages:
                 raise EOFError(f"breaks off in the record at byte {at}: the file ends at byte {size}")
             else:
                 file.seek(length, 1)
+
+
+def _mcap_cut(record: bytes, schemas: dict[int, tuple[str, str, str]], channels: Channels, wanted: Wanted) -> Messages:
+    """Read the messages of a chunk that has lost its end, if it is not compressed."""
+    with contextlib.suppress(ValueError, struct.error):
+        kind, start = _string(record, 28)
+        if not kind:
+            yield from _mcap_records(record[start + 8 :], schemas, channels, wanted)
 
 
 def _mcap_chunk(path: Path, record: bytes, at: int) -> bytes:
@@ -205,15 +217,15 @@ def _ros1_record(file: IO[bytes], size: int) -> tuple[dict[str, bytes], bytes]:
 def _scan_ros1(path: Path, channels: Channels, wanted: Wanted) -> Messages:
     import io
 
-    size, closed = path.stat().st_size, False
+    size, index = path.stat().st_size, 0
     with path.open("rb") as file:
         if file.read(len(_ROS1)) != _ROS1:
             raise EOFError("does not begin as a ROS 1 bag of version 2.0 does")
-        while file.tell() < size:
+        while file.tell() < (index or size):
             at = file.tell()
             header, data = _ros1_record(file, size)
             if header["op"] == b"\x03":
-                closed = any(header["index_pos"])
+                index = int.from_bytes(header["index_pos"], "little")
             elif header["op"] == b"\x05":
                 try:
                     chunk = _decompress(path, header["compression"].decode(), data)
@@ -224,7 +236,7 @@ def _scan_ros1(path: Path, channels: Channels, wanted: Wanted) -> Messages:
                     yield from _ros1_message(*_ros1_record(inner, len(chunk)), channels, wanted)
             else:
                 yield from _ros1_message(header, data, channels, wanted)
-    if not closed:
+    if not index:
         raise EOFError(f"was never closed: it ends at byte {size} without an index")
 
 
@@ -245,6 +257,7 @@ def _ros1_message(header: dict[str, bytes], data: bytes, channels: Channels, wan
 def _scan_sqlite(path: Path, channels: Channels, wanted: Wanted) -> Messages:
     connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
     try:
+        connection.execute("PRAGMA writable_schema = ON")  # else SQLite opens no file that has lost its end
         definitions: dict[str, tuple[str, bool]] = {}
         if connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
             rows = connection.execute(

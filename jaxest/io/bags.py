@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.io.bag_decode import NS, Bag, Topic, collect
+from jaxest.io.bag_decode import NS, Bag, Group, Topic, collect
 from jaxest.io.bag_messages import TYPES
 from jaxest.io.bag_scan import Channel, Channels, indexed, scan
 from jaxest.io.columns import seconds
@@ -69,7 +69,10 @@ def read(path: PathLike, *, clock: Clock = "header", topics: Collection[str] = (
         if not partial:
             raise InputError(f"{path}: {_readable(found, reason)}")
         notes.append(f"incomplete: {reason}; {found.messages} messages before the break were read")
-    _known(path, found.channels, wanted)
+    if found.messages or not found.broken:
+        _known(path, found.channels, wanted)
+    else:
+        raise InputError(f"{path}: {_readable(found, found.broken)}")
     log = _log(path, found, clock, chosen)
     try:
         return check(log._replace(notes=(*notes, *log.notes)))
@@ -119,12 +122,13 @@ def _log(path: Path, found: Bag, clock: Clock, chosen: Chosen) -> SensorLog:
         number, bag = np.concatenate(topic.number), np.concatenate(topic.bag)
         stamps, note = _clock(topic, np.concatenate(topic.header), bag, clock)
         notes.append(note)
-        if len(topic.groups) > 1:
-            sets = "; ".join(f"{i}: {' '.join(g.names) or g.frame or '-'}" for i, g in enumerate(topic.groups.values()))
+        groups = sorted((g for g in topic.groups.values() if g.parts), key=_first)
+        if len(groups) > 1:
+            sets = "; ".join(f"{i}: {' '.join(g.names) or g.frame or '-'}" for i, g in enumerate(groups))
             notes.append(f"{topic.channel.topic}: messages of several frames or sets of joints ({sets})")
         sort = np.argsort(number)
-        for i, group in enumerate(topic.groups.values()):
-            owner = topic.channel.topic.strip("/") + (f"/{i}" if len(topic.groups) > 1 else "")
+        for i, group in enumerate(groups):
+            owner = topic.channel.topic.strip("/") + (f"/{i}" if len(groups) > 1 else "")
             for quantity in list(group.parts):
                 unit, kept, which = group.parts.pop(quantity)  # so that two copies of one stream are the most there is
                 numbers = np.concatenate(which)
@@ -138,6 +142,11 @@ def _log(path: Path, found: Bag, clock: Clock, chosen: Chosen) -> SensorLog:
                 streams[name] = Stream(seconds(stamps[place[turn]], "ns"), value, unit, group.frame, group.names)
     notes += _left_out(found.channels.values(), chosen, streams)
     return SensorLog(streams, str(path), tuple(dict.fromkeys(notes)))
+
+
+def _first(group: Group) -> int:
+    """Return which of the bag's messages is the first of a group."""
+    return min(int(block.min()) for _, _, which in group.parts.values() for block in which)
 
 
 def _name(owner: str, quantity: str) -> str:
