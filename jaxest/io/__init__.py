@@ -1,7 +1,8 @@
 """Logs, checkpoints, reports and configs, on the host.
 
-* `read(path)` gives a `SensorLog`: streams by name, each with float64 stamps, values, unit and frame;
-  `write(log, path)` writes one. Files: NPZ and CSV, jaxest's own and other people's.
+* `read(path)` gives a `SensorLog`: streams by name, each with float64 stamps, values, unit and frame; `write(log,
+  path)` writes one. NPZ, CSV, Parquet and HDF5, jaxest's own and other people's; MCAP and TUM. ROS bags and LeRobot
+  datasets are read only. `bags.read` offers the bag's clock, chosen topics and what is readable of a broken bag.
 * Somebody else's layout: `propose(path)` guesses the `[columns]` table, `to_toml` prints it, `read(path, columns)`
   uses it.
 * `ticks(log)` merges streams of different rates into one sequence of steps without losing a sample; `interpolate`

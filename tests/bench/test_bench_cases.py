@@ -36,3 +36,12 @@ def test_import():
     (row,) = bench.rows("import", peers=False, small=True)
     assert row.reference_name == "import jax"
     assert row.value > 0
+
+
+@pytest.mark.parametrize("peers", [True, False])
+def test_logs(peers):
+    pytest.importorskip("rosbags")
+    read, rate, *memory = bench.rows("logs", peers=peers, small=True)
+    assert (read.ratio is not None) == peers
+    assert rate.value * read.value == pytest.approx(1e6)
+    assert all(row.value > 0 for row in memory)
