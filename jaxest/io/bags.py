@@ -33,7 +33,8 @@ Chosen = Callable[[Channel], bool]
 def read(path: PathLike, *, clock: Clock = "header", topics: Collection[str] = (), partial: bool = False) -> SensorLog:
     """Read a bag.
 
-    Memory is that of the numbers that are kept, and a few MiB for each topic on the way.
+    Memory grows with the numbers that are kept, to two or three times their size at the peak; messages themselves are
+    held only until a few thousand of a topic, or 4 MiB, are decoded together.
 
     Args:
         path: a `.bag`, `.mcap` or `.db3` file, or the folder of a ROS 2 bag.
