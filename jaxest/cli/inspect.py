@@ -17,13 +17,12 @@ EXAMPLES = (
     "jaxest inspect log.csv --config config.toml --json",
 )
 ROBOTS = (".xml", ".mjcf", ".urdf")
-LOGS = (".npz", ".csv")
 NOTHING = "# nothing needs to be said about this log\n"  # so that the lines can be pasted in any case
 
 
 @command
 def run(
-    file: Annotated[Path, typer.Argument(help="A robot (MJCF or URDF) or a log (NPZ or CSV).")],
+    file: Annotated[Path, typer.Argument(help="A robot (MJCF or URDF) or a log (NPZ, CSV, Parquet, HDF5, bag).")],
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="Config whose \\[columns] the log is read by.")
     ] = None,
@@ -51,11 +50,14 @@ def is_robot(file: Path) -> bool:
         InputError: no such file, or it is neither.
     """
     from jaxest.io.files import existing
+    from jaxest.io.formats import FORMATS, is_log_folder
 
+    if is_log_folder(file):
+        return False
     existing(file)
     suffix = file.suffix.lower()
-    if suffix not in (*ROBOTS, *LOGS):
-        raise bad_input(f"{file}: neither a robot ({', '.join(ROBOTS)}) nor a log ({', '.join(LOGS)})")
+    if suffix not in (*ROBOTS, *FORMATS):
+        raise bad_input(f"{file}: neither a robot ({', '.join(ROBOTS)}) nor a log ({', '.join(FORMATS)})")
     return suffix in ROBOTS
 
 
