@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from jaxest.cli.output import Answer, Json, Verbose, command, console, working
+from jaxest.cli.output import Answer, Json, Verbose, command, console, json_object, working
 
 NAME = "bench"
 EXAMPLES = ("jaxest bench orientation", "jaxest bench kinematics --robot panda.xml", "jaxest bench --no-peers --json")
@@ -40,6 +40,8 @@ def run(
     from jaxest.io.report import report, to_json
 
     out = console()
+    if show and json:
+        return Answer(json_object(report("bench", []), cases=list(bench.CASES)))
     if show:
         out.print("\n".join(bench.CASES))
         return Answer()

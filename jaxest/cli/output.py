@@ -72,7 +72,7 @@ def command(body: Callable[..., Answer]) -> Callable[..., None]:
             if answer.json:
                 sys.stdout.write(answer.json + "\n")
             sys.stdout.flush()
-        except BrokenPipeError:  # the reader has seen enough, as `head` does
+        except (BrokenPipeError, SystemExit):  # the reader has seen enough, as `head` does; rich leaves by SystemExit
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             raise typer.Exit(DONE) from None
         except Exception as error:

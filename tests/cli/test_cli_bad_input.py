@@ -259,3 +259,16 @@ def test_as_a_process(tmp_path):
 def test_help_is_quick_and_loads_no_jax():
     code = "import sys, jaxest.cli.app; assert not {'jax', 'numpy', 'mujoco', 'matplotlib'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(tmp_path):
+    chain = "".join('<body pos="0 0 .1"><joint axis="0 1 0"/><geom size=".02"/>' for _ in range(200)) + "</body>" * 200
+    (tmp_path / "long.xml").write_text(f"<mujoco><worldbody>{chain}</worldbody></mujoco>")
+    command = [sys.executable, "-m", "jaxest.cli", "inspect", str(tmp_path / "long.xml")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert "200 coordinates" in process.stdout.readline()
+        process.stdout.close()
+        assert process.stderr is not None
+        assert "Traceback" not in process.stderr.read()
+        assert process.wait() == 0

@@ -6,6 +6,7 @@ from jaxest.io.report import Row
 
 def test_cases_are_listed(invoke):
     assert invoke("bench", "--list").stdout.split() == list(bench.CASES)
+    assert json.loads(invoke("bench", "--list", "--json").stdout)["cases"] == list(bench.CASES)
 
 
 def test_rows(invoke, monkeypatch):
