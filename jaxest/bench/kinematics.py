@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import tempfile
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
@@ -63,15 +64,25 @@ def rows(*, peers: bool, progress: Progress, small: bool = False, robots: Sequen
 
 def _subject(name: str, source: str | Path, batch: int, peers: bool) -> Subject:
     robot, model = kinematics.load(source), compile_model(source)
-    pinocchio = find_peer("pinocchio") if peers else None
-    theirs = None
-    if pinocchio is not None:
-        # Pinocchio reads neither every MJCF nor what is not a file; then it has no row for this robot.
-        with contextlib.suppress(Exception), contextlib.redirect_stderr(io.StringIO()):
-            build = pinocchio.buildModelFromUrdf if str(source).endswith(".urdf") else pinocchio.buildModelFromMJCF
-            theirs = build(str(source)) if theirs is None else theirs
+    theirs = _pinocchio_model(source) if peers else None
     q = np.random.default_rng(0).uniform(-2, 2, (batch, robot.nq))
     return Subject(name, robot, model, theirs if theirs is not None and theirs.nq == robot.nq else None, q)
+
+
+def _pinocchio_model(source: str | Path) -> Any:
+    """Load the same robot into Pinocchio; None where it is not installed or cannot read this file."""
+    pinocchio = find_peer("pinocchio")
+    if pinocchio is None:
+        return None
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stderr(io.StringIO()):
+        if str(source).lstrip().startswith("<"):
+            text, source = str(source), Path(folder) / "robot.xml"
+            source.write_text(text)
+        build = pinocchio.buildModelFromUrdf if str(source).endswith(".urdf") else pinocchio.buildModelFromMJCF
+        try:
+            return build(str(source))
+        except Exception:  # it raises whatever its parser does
+            return None
 
 
 def _robot_rows(subject: Subject, peers: bool, repeats: int) -> Iterable[Row]:
