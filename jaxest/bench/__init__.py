@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from jaxest.io.report import Row
 
 CASES = {
+    "dynamics": "jaxest.bench.dynamics",
     "import": "jaxest.bench.import_time",
+    "inverse_kinematics": "jaxest.bench.inverse_kinematics",
     "kinematics": "jaxest.bench.kinematics",
     "logs": "jaxest.bench.logs",
     "orientation": "jaxest.bench.orientation",
@@ -50,7 +52,7 @@ def rows(
     """
     if name not in CASES:
         raise unknown_name("benchmark", name, CASES)
-    if robots and name != "kinematics":
+    if robots and name not in ("dynamics", "inverse_kinematics", "kinematics"):
         raise InputError(f"benchmark {name!r} is not about robots, got {', '.join(robots)}")
     module = importlib.import_module(CASES[name])
     options = {"robots": tuple(robots)} if robots else {}

@@ -8,15 +8,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxest.kinematics.fold import carriers
 from jaxest.kinematics.forward import configuration, forward
 from jaxest.kinematics.jacobian import jacobian
-from jaxest.kinematics.robot import BALL, FREE, HINGE, NV, SLIDE, Robot, Topology, expand, frame
+from jaxest.kinematics.movement import moved, movers, room, scalars, scattered, spot, spread
+from jaxest.kinematics.robot import Robot, expand, frame
 from jaxest.manifolds import quaternion
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike
 
-PATIENCE = 6
+PATIENCE = 12
 """Steps that may gain next to nothing before a descent counts as stuck."""
+CENTRING = 0.5
+"""Pull to the middle of the limits, times the squared error, where half the range counts as 1."""
+NEAR = 1e-3
+"""Squared error below which that pull fades faster."""
 GAIN = 0.01
 """Part of the squared error that a step must take away to count as progress."""
 
@@ -102,7 +106,7 @@ def inverse_kinematics(
     aims = _aims(robot, targets, q.dtype)
     sound = jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in jax.tree.leaves((aims, q))]))
     aims, q = jax.tree.map(lambda x: jnp.where(sound, x, jnp.ones_like(x)), (aims, q))
-    problem = _Problem(robot, aims, _movers(robot.topology, tuple(aims)))
+    problem = _Problem(robot, aims, movers(robot.topology, tuple(aims)))
     first = problem.start(problem.inside(q))
 
     def going(state: _State) -> Array:
@@ -148,32 +152,41 @@ def search_inverse_kinematics(
         raise ValueError(f"starts: {starts}, expected at least 1")
     q = configuration(robot, q0)
     shares = jax.random.uniform(key, (starts - 1, robot.nq), q.dtype)
-    others = jax.vmap(partial(_spot, robot, q))(shares)
+    others = jax.vmap(partial(spot, robot, q))(shares)
     solve = partial(inverse_kinematics, robot, targets, iterations=iterations, restarts=0, tolerance=tolerance)
     found: Solution = jax.vmap(solve)(jnp.concatenate([q[None], others]))
-    scalar = np.array([robot.topology.joint_q[j] for j in _scalars(robot.topology)], int)
-    moved = jnp.sum((found.q - q[None])[:, scalar] ** 2, axis=1)
+    scalar = np.array([robot.topology.joint_q[j] for j in scalars(robot.topology)], int)
+    change = jnp.sum((found.q - q[None])[:, scalar] ** 2, axis=1)
     error = jnp.maximum(found.position_error, found.rotation_error)
     solved = found.status == OK
-    rank = jnp.where(solved, moved / (1 + moved), 1 + error)  # every solved one before every other
+    rank = jnp.where(solved, change / (1 + change), 1 + error)  # every solved one before every other
     return jax.tree.map(lambda x: x[jnp.argmin(rank)], found)
 
 
-def _scalars(topology: Topology) -> list[int]:
-    return [j for j, kind in enumerate(topology.joint_kind) if kind in (HINGE, SLIDE)]
+class _Aim(NamedTuple):
+    """A target as arrays."""
+
+    position: Array
+    quaternion: Array | None
+    position_weight: Array
+    rotation_weight: Array
 
 
-def _aims(robot: Robot, targets: Mapping[str, Target], dtype: Any) -> dict[str, Target]:
+def _aims(robot: Robot, targets: Mapping[str, Target], dtype: Any) -> dict[str, _Aim]:
     if not targets:
         raise ValueError("targets: none given, expected at least one frame")
-    aims: dict[str, Target] = {}
+    aims: dict[str, _Aim] = {}
     for name, target in targets.items():
         frame(robot, name)
         shapes = ((3,), (4,), (), ())
         for field, value, shape in zip(Target._fields, target, shapes, strict=True):
             if value is not None and jnp.shape(value) != shape:
                 raise ValueError(f"targets[{name!r}].{field}: shape {jnp.shape(value)}, expected {shape}")
-        aims[name] = Target(*(None if x is None else jnp.asarray(x, dtype) for x in target))
+        turn = None if target.quaternion is None else jnp.asarray(target.quaternion, dtype)
+        position, *weights = (
+            jnp.asarray(x, dtype) for x in (target.position, target.position_weight, target.rotation_weight)
+        )
+        aims[name] = _Aim(position, turn if turn is None else quaternion.normalize(turn), *weights)
     return aims
 
 
@@ -181,7 +194,7 @@ class _Problem(NamedTuple):
     """A robot and what is wanted of it."""
 
     robot: Robot
-    aims: dict[str, Target]
+    aims: dict[str, _Aim]
     movers: tuple[int, ...]
 
     def inside(self, q: Array) -> Array:
@@ -201,9 +214,9 @@ class _Problem(NamedTuple):
         now = forward(self.robot, q, tuple(self.aims))
         errors: list[Array] = []
         slopes: list[Array] = []
-        spread = _spread(self.robot, self.movers, q)
+        moves = spread(self.robot, self.movers, q)
         for k, (name, aim) in enumerate(self.aims.items()):
-            slope = jacobian(self.robot, q, name) @ spread
+            slope = jacobian(self.robot, q, name) @ moves
             errors.append(aim.position_weight * (aim.position - now.position[k]))
             slopes.append(aim.position_weight * slope[3:])
             if aim.quaternion is not None:
@@ -234,9 +247,9 @@ def _step(problem: _Problem, restarts: int, state: _State) -> _State:
     """Take one damped step and keep it if the error falls; where nothing is gained any more, start anew."""
     cost = jnp.sum(state.error**2)
     stuck = state.idle >= PATIENCE
-    q = problem.inside(_moved(problem.robot, state.q, _least_squares(problem, state)))
+    q = problem.inside(moved(problem.robot, state.q, _least_squares(problem, state)))
     if restarts:
-        q = jnp.where(stuck, problem.inside(_scattered(problem.robot, state.best, state.restart + 1)), q)
+        q = jnp.where(stuck, problem.inside(scattered(problem.robot, state.best, state.restart + 1)), q)
     error, slope = problem.errors(q)
     found = jnp.sum(error**2)
     better = (found < cost) | stuck
@@ -259,106 +272,21 @@ def _step(problem: _Problem, restarts: int, state: _State) -> _State:
 
 
 def _least_squares(problem: _Problem, state: _State) -> Array:
-    """Return the damped step, (nv,), without the joints at a limit that it would push beyond."""
-    low, high = _room(problem.robot, problem.movers, state.q)
-    pull = state.slope.T @ state.error
+    """Return the damped step, (nv,), without the joints at a limit that it would push beyond.
+
+    Damping and the pull to the middle of the limits fade with the squared error, so that neither keeps the solution
+    from being exact. Without the pull half as many descents fail again, stuck at a limit (measured).
+    """
+    low, high = room(problem.robot, problem.movers, state.q)
+    cost = jnp.sum(state.error**2)
+    half = (high - low) / 2
+    limited = jnp.isfinite(half)
+    fading = CENTRING * cost * cost / (cost + NEAR)
+    centring = jnp.where(limited, fading / jnp.where(limited, half, 1) ** 2, 0)
+    pull = state.slope.T @ state.error + centring * jnp.where(limited, (low + high) / 2, 0)
     held = ((low >= 0) & (pull < 0)) | ((high <= 0) & (pull > 0))
     slope = jnp.where(held[None, :], 0, state.slope)
-    damping = state.damping * jnp.sum(state.error**2) + 100 * jnp.finfo(slope.dtype).eps
-    matrix = slope.T @ slope + damping * jnp.eye(slope.shape[1], dtype=slope.dtype)
-    move = jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(matrix), True), jnp.where(held, 0, pull))
-    return _spread(problem.robot, problem.movers, state.q) @ jnp.clip(move, low, high)
-
-
-def _scattered(robot: Robot, q: Array, index: Array) -> Array:
-    """Return a configuration of a sequence that fills the limits evenly; free joints stay.
-
-    Source: the additive recurrence of Roberts 2018 (The unreasonable effectiveness of quasirandom sequences).
-    """
-    root = 2.0
-    for _ in range(40):
-        root = (1 + root) ** (1 / (robot.nq + 1))
-    pace = jnp.asarray(root ** -np.arange(1.0, robot.nq + 1), q.dtype)
-    return _spot(robot, q, (0.5 + index * pace) % 1)
-
-
-def _spot(robot: Robot, q: Array, share: Array) -> Array:
-    """Place each coordinate at a share of its range; half a turn either way, or half a metre, where it is endless."""
-    topology = robot.topology
-    scalar = np.zeros(robot.nq, bool)
-    turns = np.zeros(robot.nq, bool)
-    for kind, at in zip(topology.joint_kind, topology.joint_q, strict=True):
-        scalar[at] = kind in (HINGE, SLIDE)
-        turns[at] = kind == HINGE
-        turns[at : at + 4] |= kind == BALL
-    limits = jnp.asarray(robot.limits, q.dtype)
-    reach = jnp.where(turns, jnp.pi, 0.5).astype(q.dtype)
-    middle = jnp.where(turns, 0, q)
-    low, high = (
-        jnp.where(jnp.isfinite(limit), limit, middle + side * reach)
-        for limit, side in ((limits[:, 0], -1), (limits[:, 1], 1))
-    )
-    return _moved(robot, jnp.where(scalar | turns, low + share * (high - low), q), jnp.zeros((robot.nv,), q.dtype))
-
-
-def _movers(topology: Topology, frames: tuple[str, ...]) -> tuple[int, ...]:
-    """Return the joints without a leader that move some of the frames, on the way to them or by coupling."""
-    carried = carriers(topology)
-    found: set[int] = set()
-    for name in frames:
-        joint = carried.frame[topology.frame_names.index(name)]
-        while joint >= 0:
-            found.add(joint)
-            joint = carried.joint[joint]
-    for joint, leader in reversed(topology.couplings):
-        if joint in found:
-            found |= {leader} if leader >= 0 else set()
-    return tuple(sorted(found - {joint for joint, _ in topology.couplings}))
-
-
-def _spread(robot: Robot, movers: tuple[int, ...], q: Array) -> Array:
-    """Return how v follows from the velocities of the movers, (nv, n)."""
-    topology = robot.topology
-    rows = [np.arange(topology.joint_v[j], topology.joint_v[j] + NV[topology.joint_kind[j]]) for j in movers]
-    own = np.eye(robot.nv, dtype=q.dtype)[:, np.concatenate([*rows, np.zeros(0, int)])]
-    spread = jnp.asarray(own)
-    for (joint, leader), coefficients in zip(topology.couplings, robot.coupling, strict=True):
-        if leader < 0:
-            continue
-        at = topology.joint_q[leader]
-        x = q[at] - jnp.asarray(robot.joint_reference, q.dtype)[at]
-        slope = jnp.polyval(jnp.polyder(jnp.asarray(coefficients, q.dtype)[::-1]), x)
-        spread = spread.at[topology.joint_v[joint]].set(slope * spread[topology.joint_v[leader]])
-    return spread
-
-
-def _room(robot: Robot, movers: tuple[int, ...], q: Array) -> tuple[Array, Array]:
-    """Return how far each mover can go down and up, (n,) each, infinite for balls and free joints."""
-    low: list[Array] = []
-    high: list[Array] = []
-    limits = jnp.asarray(robot.limits, q.dtype)
-    for joint in movers:
-        kind, at = robot.topology.joint_kind[joint], robot.topology.joint_q[joint]
-        if kind in (BALL, FREE):
-            endless = jnp.full((NV[kind],), jnp.inf, q.dtype)
-            low, high = [*low, -endless], [*high, endless]
-        else:
-            low, high = [*low, limits[at : at + 1, 0] - q[at]], [*high, limits[at : at + 1, 1] - q[at]]
-    return jnp.concatenate(low), jnp.concatenate(high)
-
-
-def _moved(robot: Robot, q: Array, v: Array) -> Array:
-    """Return where a robot stands after moving at velocity v (nv,) for 1 s, each rotation about a fixed axis."""
-    if robot.nq == robot.nv:
-        return q + v
-    parts: list[Array] = []
-    topology = robot.topology
-    for kind, at, rate in zip(topology.joint_kind, topology.joint_q, topology.joint_v, strict=True):
-        if kind in (BALL, FREE):
-            shift = 3 if kind == FREE else 0
-            parts.append(q[at : at + shift] + v[rate : rate + shift])
-            turn, spin = q[at + shift : at + shift + 4], v[rate + shift : rate + shift + 3]
-            parts.append(quaternion.retract(quaternion.normalize(turn), spin))
-        else:
-            parts.append(q[at : at + 1] + v[rate : rate + 1])
-    return jnp.concatenate(parts)
+    damping = centring + state.damping * cost + 100 * jnp.finfo(slope.dtype).eps
+    factor = jnp.linalg.cholesky(slope.T @ slope + jnp.diag(damping))
+    move = jax.scipy.linalg.cho_solve((factor, True), jnp.where(held, 0, pull))
+    return spread(problem.robot, problem.movers, state.q) @ jnp.clip(move, low, high)
