@@ -105,7 +105,7 @@ def test_series_of_any_length_in_parallel(problem, x64):
     def both(series, start):
         return kalman.filter_series(series, start), kalman.filter_series_parallel(series, start)
 
-    for length in (1, 2, T):
+    for length in (1, T):
         rows = jax.vmap(partial(kalman.whitened, jnp.asarray(h), noise=jnp.asarray(r)))(
             value=values[:length], valid=valid[:length]
         )
@@ -174,7 +174,6 @@ def test_gradient_of_the_evidence_in_the_noise(problem, which, x64):
     numbers, mean, cov, values, valid = problem
     state0, line = kalman.init(mean, cov), measured(values, valid)
 
-    @partial(jax.jit, compiler_options=QUICK)
     def evidence(logs):
         params = numbers | {"q": jnp.exp(logs[0]) * numbers["q"], "r": jnp.exp(logs[1]) * numbers["r"]}
         if which == "filter":
@@ -182,6 +181,7 @@ def test_gradient_of_the_evidence_in_the_noise(problem, which, x64):
         return jnp.sum(kalman.smooth(MODEL, params, state0, line, iterations=3).log_likelihood)
 
     slope = jax.jit(jax.grad(evidence), compiler_options=QUICK)(jnp.zeros(2))
+    evidence = jax.jit(evidence, compiler_options=QUICK)
     h = 1e-4
     for i, direction in enumerate(np.eye(2)):
         far = [evidence(jnp.asarray(s * h * direction)) for s in (-2, -1, 1, 2)]
