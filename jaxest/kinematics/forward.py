@@ -62,6 +62,8 @@ def configuration(robot: Robot, q: ArrayLike) -> Array:
 def selection(robot: Robot, frames: Sequence[int | str] | None) -> tuple[int, ...]:
     """Turn a selection of frames into indices."""
     count = len(robot.frame_names)
+    if isinstance(frames, (str, int)):
+        raise ValueError(f"frames: got {frames!r}, expected a sequence of indices or names, such as [{frames!r}]")
     if frames is None:
         return tuple(range(count))
     indices = tuple(frame(robot, f) if isinstance(f, str) else int(f) for f in frames)

@@ -189,6 +189,8 @@ def test_wrong_shapes_and_names():
         kinematics.forward(robot, np.zeros(5))
     with pytest.raises(ValueError, match="frames: index 99, expected 0 to 8"):
         kinematics.forward(robot, np.zeros(4), (99,))
+    with pytest.raises(ValueError, match=r"frames: got 'hand', expected a sequence .*such as \['hand'\]"):
+        kinematics.forward(robot, np.zeros(4), "hand")
     with pytest.raises(InputError, match="frame 'site:imu4' does not exist; did you mean 'site:imu"):
         kinematics.frame(robot, "site:imu4")
     with pytest.raises(InputError, match="body 'hnad' does not exist; did you mean 'hand'"):
