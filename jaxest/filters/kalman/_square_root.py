@@ -1,6 +1,7 @@
 """Square roots of covariances, singular ones included: `L L'` is the covariance, L lower triangular.
 
-LAPACK's QR, batched: hand-written scans of reflections were 3 to 10 times slower beyond 3 x 3 on a CPU.
+LAPACK's QR, batched: 1.2 us for a 6 x 12 matrix in float64, one CPU thread busy. A scan over columns, as `root` needs
+for singular matrices, takes 3 to 8 times as long as LAPACK's Cholesky from 6 x 6 on; it runs once a step.
 """
 
 from typing import Any

@@ -2,7 +2,7 @@
 
 Both return the Joseph form: a sum of two positive terms, which stays symmetric and positive where the short form
 `(I - K H) P` loses its sign in float32, and in which an error of the gain counts only squared. A square root would
-resolve twice the digits, but a QR of every step costs five to eight times a Cholesky factor, a root of a singular
+resolve twice the digits, but a QR of every step costs four to eight times a Cholesky factor, a root of a singular
 covariance (a known start, a static parameter) has no derivative, and a covariance is what callers read and write; the
 smoother, where weakly and strongly informed parts meet over a whole series, does carry square roots.
 """
