@@ -9,11 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.kinematics import components as c
-from jaxest.kinematics.chains import Block, Plan, plan
+from jaxest.kinematics.coordinates import Links
 from jaxest.kinematics.fold import Folded, fold
+from jaxest.kinematics.plan import Plan, plan
 from jaxest.kinematics.poses import joint_poses
 from jaxest.kinematics.robot import Robot, frame
-from jaxest.kinematics.scan import Links, Pose
+from jaxest.kinematics.scan import Pose
+from jaxest.kinematics.take import take
 from jaxest.types import Array, ArrayLike
 
 
@@ -81,38 +83,33 @@ def links(robot: Robot, folded: Folded, dtype: Any) -> Links:
 
 @partial(jax.jit, static_argnums=0)
 def _forward(planned: Plan, constants: Links, offsets: tuple[Array, Array], q: Array) -> Frames:
-    poses = joint_poses(planned, constants, q)
-    parts = [place_frames(planned, poses, offsets, block) for block in planned.blocks]
-    if not parts:
+    if not planned.frames:
         return Frames(jnp.zeros((0, 3), q.dtype), jnp.zeros((0, 4), q.dtype))
-    return Frames(
-        *(jnp.concatenate(columns) if len(columns) > 1 else columns[0] for columns in zip(*parts, strict=True))
-    )
+    position, quaternion = place_frames(planned, joint_poses(planned, constants, q), offsets)
+    return Frames(jnp.stack(position, -1), jnp.stack(quaternion, -1))
 
 
-def place_frames(
-    planned: Plan, poses: tuple[Pose, ...], offsets: tuple[Array, Array], block: Block
-) -> tuple[Array, Array]:
-    """Place the frames of a block on the joints' poses; positions (n, 3) and quaternions (n, 4)."""
-    rows = np.array(block.frames)
-    if block.chain < 0:
-        return offsets[0][rows], offsets[1][rows]
-    chain = planned.chains[block.chain]
-    pose = poses[block.chain]
-    pick = partial(_pick, every=chain.every, places=block.places)
-    position, quaternion = jax.tree.map(pick, (pose.position, pose.quaternion))
-    if block.moved:
+def place_frames(planned: Plan, pose: Pose, offsets: tuple[Array, Array]) -> tuple[c.Vector, c.Quaternion]:
+    """Place the frames on the joints' poses.
+
+    Args:
+        planned: the plan.
+        pose: the joints' poses, as the plan wants them.
+        offsets: (nf, 3) and (nf, 4), all frames in their joints' frames.
+
+    Returns:
+        Positions and quaternions by component, (n,).
+    """
+
+    def pick(component: Array, world: float) -> Array:
+        if not planned.every:
+            return jnp.broadcast_to(component, (len(planned.frames),))
+        return take(component, planned.steps, world)
+
+    position = tuple(pick(x, 0.0) for x in pose.position)
+    quaternion = tuple(pick(x, i) for x, i in zip(pose.quaternion, c.IDENTITY, strict=True))
+    if planned.moved:
+        rows = np.array(planned.frames)
         position = c.add(position, c.rotate(quaternion, c.split(offsets[0][rows])))
         quaternion = c.multiply(quaternion, c.split(offsets[1][rows]))
-    return jnp.stack(position, -1), jnp.stack(quaternion, -1)
-
-
-def _pick(component: Array, *, every: bool, places: tuple[int, ...]) -> Array:
-    """Take the entries of a chain's component at some places, as (n,)."""
-    if not every:
-        return jnp.broadcast_to(component, (len(places),))
-    if places == tuple(range(component.shape[0])):
-        return component
-    if places == tuple(range(places[0], places[-1] + 1)):
-        return component[places[0] : places[-1] + 1]
-    return component[np.array(places)]
+    return position, quaternion

@@ -8,14 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.kinematics import components as c
-from jaxest.kinematics.chains import Plan, plan
+from jaxest.kinematics.coordinates import Links
 from jaxest.kinematics.fold import fold
 from jaxest.kinematics.forward import configuration, links
 from jaxest.kinematics.inertia import Lump, check_inertia, lump
 from jaxest.kinematics.jacobian import velocity_axes
+from jaxest.kinematics.plan import Plan, plan
 from jaxest.kinematics.poses import joint_poses
-from jaxest.kinematics.robot import NV, Robot
-from jaxest.kinematics.scan import Links, Pose
+from jaxest.kinematics.robot import Robot
+from jaxest.kinematics.sequence import Sequence, inward
+from jaxest.kinematics.take import take
 from jaxest.types import Array, ArrayLike
 
 
@@ -52,44 +54,28 @@ def _carried_bodies(robot: Robot) -> tuple[int, ...]:
 
 @partial(jax.jit, static_argnums=0)
 def _gravity_torque(planned: Plan, constants: Links, lumps: Lump, gravity: Array, q: Array) -> Array:
-    poses = joint_poses(planned, constants, q)
-    torques: list[Array] = [jnp.zeros((0,), q.dtype)] * len(planned.joint_kind)
-    above: list[Any] = [None] * len(planned.chains)
-    for index in reversed(range(len(planned.chains))):
-        chain, pose = planned.chains[index], poses[index]
-        rows = np.array(chain.joints)
-        mass = lumps.mass[rows]
-        moment = c.add(c.rotate(pose.quaternion, c.split(lumps.moment[rows])), c.scale(pose.position, mass))
-        carried, total = _carried(mass, moment, above[index])
-        if chain.parent >= 0:
-            above[chain.parent] = _sum(above[chain.parent], total)
-        for joint, torque in zip(chain.joints, _hold(planned, index, constants, pose, carried, gravity), strict=True):
-            torques[joint] = torque[: NV[planned.joint_kind[joint]]]
-    return jnp.concatenate([*torques, jnp.zeros((0,), q.dtype)])
+    order = planned.order
+    if not order.joint:
+        return jnp.zeros((0,), q.dtype)
+    pose = joint_poses(planned, constants, q)
+    rows = np.array(order.joint)
+    mass = lumps.mass[rows]
+    moment = c.add(c.rotate(pose.quaternion, c.split(lumps.moment[rows])), c.scale(pose.position, mass))
+    mass, moment = _carried(order, mass, moment)
+    axes = velocity_axes(order, constants, pose)
+    mass, moment = jax.tree.map(lambda x: take(x, axes.step), (mass, moment))
+    lever = c.sub(moment, c.scale(axes.point, mass))
+    pull = c.split(gravity)
+    torque = -(c.dot(axes.rotation, c.cross(lever, pull)) + c.dot(axes.translation, c.scale(pull, mass)))
+    return take(torque, np.argsort(axes.velocity).tolist())
 
 
-def _sum(a: Any, b: Any) -> Any:
-    return b if a is None else jax.tree.map(jnp.add, a, b)
+def _carried(order: Sequence, mass: Array, moment: c.Vector) -> tuple[Array, c.Vector]:
+    """Sum mass and first moment from the tips inwards: what each joint carries, components (n,)."""
 
-
-def _carried(mass: Array, moment: c.Vector, beyond: Any) -> tuple[Any, Any]:
-    """Sum mass and first moment from each joint outwards; returns those sums and the whole chain's."""
-    start = jax.tree.map(lambda x: jnp.zeros((), x.dtype), (mass, moment)) if beyond is None else beyond
-
-    def add(total: Any, own: Any) -> tuple[Any, Any]:
-        total = _sum(total, own)
+    def add(beyond: Any, own: Any) -> tuple[Any, Any]:
+        total = jax.tree.map(jnp.add, beyond, own)
         return total, total
 
-    whole, sums = jax.lax.scan(add, start, (mass, moment), reverse=True)
-    return sums, whole
-
-
-def _hold(planned: Plan, index: int, constants: Links, pose: Pose, carried: Any, gravity: Array) -> Array:
-    """Project the weight that each joint of a chain carries on its axes, (n, w)."""
-    mass, moment = carried
-    rotation, translation = velocity_axes(planned, planned.chains[index], constants, pose)
-    lever = c.sub(moment, c.scale(pose.position, mass))
-    pull = c.split(gravity)
-    force = tuple((mass * g)[:, None] for g in pull)
-    torque = tuple(t[:, None] for t in c.cross(lever, pull))
-    return -(c.dot(rotation, torque) + c.dot(translation, force))
+    zero = jnp.zeros((), mass.dtype)
+    return inward(order, add, (zero, (zero, zero, zero)), (mass, moment))

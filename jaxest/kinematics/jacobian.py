@@ -1,19 +1,22 @@
 """Geometric Jacobian of a frame."""
 
 from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxest.kinematics import components as c
-from jaxest.kinematics.chains import Chain, Plan, plan
+from jaxest.kinematics.coordinates import Links, only
 from jaxest.kinematics.fold import fold
 from jaxest.kinematics.forward import configuration, links, place_frames, selection
+from jaxest.kinematics.plan import Plan, plan
 from jaxest.kinematics.poses import joint_poses
-from jaxest.kinematics.robot import FREE, NV, SLIDE, Robot
-from jaxest.kinematics.scan import Links, Pose
+from jaxest.kinematics.robot import FREE, HINGE, NV, SLIDE, Robot
+from jaxest.kinematics.scan import Pose
+from jaxest.kinematics.sequence import Sequence
+from jaxest.kinematics.take import take
 from jaxest.types import Array, ArrayLike
 
 
@@ -37,69 +40,64 @@ def jacobian(robot: Robot, q: ArrayLike, frame: int | str) -> Array:
     """
     q = configuration(robot, q)
     folded = fold(robot)
-    planned = plan(robot, selection(robot, (frame,)), folded)
+    planned = plan(robot, selection(robot, (frame,)), folded).whole()
     offsets = jnp.asarray(folded.frame_translation, q.dtype), jnp.asarray(folded.frame_quaternion, q.dtype)
     return _jacobian(planned, robot.nv, links(robot, folded, q.dtype), offsets, q)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _jacobian(planned: Plan, nv: int, constants: Links, offsets: tuple[Array, Array], q: Array) -> Array:
-    if planned.blocks[0].chain < 0:
+    if planned.steps[0] < 0:
         return jnp.zeros((6, nv), q.dtype)
-    whole = planned.whole()
-    poses = joint_poses(whole, constants, q)
-    point = c.split(place_frames(whole, poses, offsets, whole.blocks[0])[0][0])
-    columns: list[Array] = []
-    at: list[int] = []
-    for chain, pose in zip(whole.chains, poses, strict=True):
-        rotation, translation = velocity_axes(whole, chain, constants, pose)
-        arm = c.sub(tuple(p[:, None] for p in point_like(point, pose)), tuple(p[:, None] for p in pose.position))
-        moved = c.add(translation, c.cross(rotation, arm))
-        twist = jnp.stack((*rotation, *moved))
-        for row, joint in enumerate(chain.joints):
-            width = NV[whole.joint_kind[joint]]
-            columns.append(twist[:, row, :width])
-            at += range(whole.joint_v[joint], whole.joint_v[joint] + width)
-    padded = jnp.concatenate([*columns, jnp.zeros((6, 1), q.dtype)], axis=1)
-    source = np.full(nv, len(at))
-    source[at] = np.arange(len(at))
-    return padded[:, source]
+    poses = joint_poses(planned, constants, q)
+    point = place_frames(planned, poses, offsets)[0]
+    axes = velocity_axes(planned.order, constants, poses)
+    moved = c.add(axes.translation, c.cross(axes.rotation, c.sub(point, axes.point)))
+    source = np.full(nv, -1)
+    source[list(axes.velocity)] = np.arange(len(axes.velocity))
+    return jnp.stack([take(x, source.tolist()) for x in (*axes.rotation, *moved)])
 
 
-def point_like(point: c.Vector, pose: Pose) -> c.Vector:
-    """Repeat a point for every joint of a chain."""
-    return tuple(jnp.broadcast_to(x, p.shape) for x, p in zip(point, pose.position, strict=True))
+class Axes(NamedTuple):
+    """How velocity coordinates turn and shift their joints' frames, in the world: components (m,)."""
+
+    rotation: c.Vector
+    translation: c.Vector
+    point: c.Vector
+    """m, the joint's origin."""
+    step: tuple[int, ...]
+    """The step of each coordinate's joint."""
+    velocity: tuple[int, ...]
+    """Where each coordinate stands in v."""
 
 
-def velocity_axes(planned: Plan, chain: Chain, constants: Links, pose: Pose) -> tuple[c.Vector, c.Vector]:
+def velocity_axes(order: Sequence, constants: Links, pose: Pose) -> Axes:
     """Return how each velocity coordinate turns and shifts its joint's frame, in the world.
 
     Args:
-        planned: the plan.
-        chain: one of its chains.
+        order: the steps, one per joint.
         constants: what the poses depend on.
-        pose: the poses of all joints of the chain, components (n,).
+        pose: the poses of all joints, components (n,).
 
     Returns:
-        rotation and translation, components (n, w) with w = 1 for a scalar chain; for balls and free joints w = 6,
-        of which a ball uses the first 3.
+        A row per velocity coordinate, m of them.
     """
-    if chain.scalar:
-        axis = c.rotate(pose.quaternion, c.split(constants.axis[np.array(chain.joints)]))
-        sliding = np.array([planned.joint_kind[j] == SLIDE for j in chain.joints])[:, None]
-        columns: Any = tuple(a[:, None] for a in axis)
-        turned, shifted = (tuple(jnp.where(mask, a, 0) for a in columns) for mask in (~sliding, sliding))
-        return turned, shifted
-    rotation = [[jnp.zeros_like(pose.position[0])] * 6 for _ in range(3)]
-    translation = [[jnp.zeros_like(pose.position[0])] * 6 for _ in range(3)]
-    free = np.array([planned.joint_kind[j] == FREE for j in chain.joints])
-    zero, one = jnp.zeros_like(pose.position[0]), jnp.ones_like(pose.position[0])
-    for i in range(3):
-        unit: Any = tuple(one if k == i else zero for k in range(3))
-        axis = c.rotate(pose.quaternion, unit)
-        for k in range(3):
-            rotation[k][i] = jnp.where(free, 0, axis[k])
-            rotation[k][i + 3] = jnp.where(free, axis[k], 0)
-            translation[k][i] = jnp.where(free, unit[k], 0)
-    turned, shifted = (tuple(jnp.stack(row, -1) for row in rows) for rows in (rotation, translation))
-    return turned, shifted
+    rows = [(step, joint, k) for step, joint in enumerate(order.joint) for k in range(NV[order.joint_kind[joint]])]
+    steps, joints, places = (tuple(row[i] for row in rows) for i in range(3))
+    kind = [order.joint_kind[joint] for joint in joints]
+    single = np.array([k in (HINGE, SLIDE) for k in kind])
+    unit = np.eye(3)[np.array(places) % 3]
+    local = tuple(
+        jnp.where(single, a, u.astype(a.dtype))
+        for a, u in zip(c.split(constants.axis[np.array(joints)]), unit.T, strict=True)
+    )
+    point, quaternion = jax.tree.map(lambda x: take(x, steps), tuple(pose))
+    axis = c.rotate(quaternion, local)
+    slides = np.array([k == SLIDE for k in kind])
+    drifts = np.array([k == FREE and place < 3 for k, place in zip(kind, places, strict=True)])
+    rotation = tuple(only(~(slides | drifts), a) for a in axis)
+    translation = tuple(
+        jnp.where(drifts, u.astype(a.dtype), only(slides, a)) for a, u in zip(axis, unit.T, strict=True)
+    )
+    velocity = tuple(v + k for v, k in zip((order.velocity[s] for s in steps), places, strict=True))
+    return Axes(rotation, translation, point, steps, velocity)

@@ -6,9 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.kinematics import components as c
-from jaxest.kinematics.chains import Chain, Plan
-from jaxest.kinematics.robot import BALL, FREE, HINGE, SLIDE
-from jaxest.kinematics.scan import quaternion_coordinates
+from jaxest.kinematics.coordinates import displacements, kinds, only, rotations, scalar, turning, turns
+from jaxest.kinematics.robot import BALL, FREE, SLIDE
 from jaxest.kinematics.sequence import WORLD, Sequence
 from jaxest.types import Array
 
@@ -96,49 +95,21 @@ def places(order: Sequence, numbers: Numbers, q: Array) -> Place:
         Translations, rotations and axes by component, (n,).
     """
     joint = np.array(order.joint)
-    kind = np.array(order.kind)
-    at = np.array(order.joint_q)[joint]
-    scalar = (kind == HINGE) | (kind == SLIDE)
-    displacement = q[at] - numbers.reference[at]
-    sine, cosine = c.half_sincos(_only(kind == HINGE, displacement))
-    fixed = c.split(numbers.quaternion[joint])
-    axis = c.split(numbers.axis[joint])
+    displacement = displacements(order, numbers, q)
+    found = turns(order, q) if turning(order) else None
+    rotation = rotations(order, numbers, displacement, found)
     moved = order.opening & (np.array(order.source) != WORLD)
-    translation = tuple(_only(moved, t) for t in c.split(numbers.translation[joint]))
-    if (kind == SLIDE).any():
-        translation = c.add(translation, c.scale(c.rotate(fixed, axis), _only(kind == SLIDE, displacement)))
-    turned = c.multiply(fixed, (jnp.zeros_like(axis[0]), *axis))
-    rotation = tuple(
-        _only(scalar, f * cosine + _only(kind == HINGE, t) * sine) for f, t in zip(fixed, turned, strict=True)
-    )
-    if not scalar.all():
-        rotation = tuple(r + e for r, e in zip(rotation, _quaternion_rotations(order, numbers, q), strict=True))
+    translation = tuple(only(moved, t) for t in c.split(numbers.translation[joint]))
+    fixed, axis = c.split(numbers.quaternion[joint]), c.split(numbers.axis[joint])
+    sliding, single = kinds(order, SLIDE), scalar(order)
+    if sliding.any():
+        translation = c.add(translation, c.scale(c.rotate(fixed, axis), only(sliding, displacement)))
+    if not single.all():
         unit = np.eye(3, dtype=q.dtype)[np.array(order.place) % 3]
-        axis = tuple(jnp.where(scalar, a, u) for a, u in zip(axis, unit.T, strict=True))
-    sliding = (kind == SLIDE) | ((kind == FREE) & (np.array(order.place) < 3))
-    turn, slide = (tuple(_only(mask, a) for a in axis) if mask.any() else None for mask in (~sliding, sliding))
+        axis = tuple(jnp.where(single, a, u) for a, u in zip(axis, unit.T, strict=True))
+    sliding = sliding | (kinds(order, FREE) & (np.array(order.place) < 3))
+    turn, slide = (tuple(only(mask, a) for a in axis) if mask.any() else None for mask in (~sliding, sliding))
     return Place(translation, rotation, turn, slide)
-
-
-def _only(mask: np.ndarray, component: Array) -> Array:
-    """Keep rows, and set the others to zero."""
-    return component if mask.all() else jnp.where(mask, component, 0)
-
-
-def _quaternion_rotations(order: Sequence, numbers: Numbers, q: Array) -> c.Quaternion:
-    """Return the rotations of steps of ball and free joints, zero for scalar joints."""
-    joints = tuple(j for j, k in enumerate(order.joint_kind) if k in (BALL, FREE))
-    planned = Plan((), (), order.joint_q, (), order.joint_kind)
-    unit = quaternion_coordinates(planned, Chain(joints, -1, False, False, True), q)[1]
-    rotation = c.multiply(c.split(numbers.quaternion[np.array(joints)]), unit)
-    # Row 0 of what is gathered from stands for scalar joints, row 1 for steps that do not turn.
-    source = np.zeros(len(order.joint), int)
-    for step, (joint, opens) in enumerate(zip(order.joint, order.opening, strict=True)):
-        if joint in joints:
-            source[step] = 2 + joints.index(joint) if opens else 1
-    return tuple(
-        jnp.concatenate([jnp.asarray([0, i], q.dtype), r])[source] for r, i in zip(rotation, c.IDENTITY, strict=True)
-    )
 
 
 def gyration(order: Sequence, v: Array) -> Array | None:

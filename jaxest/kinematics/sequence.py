@@ -1,9 +1,9 @@
-"""The order in which one scan visits every velocity coordinate of a tree.
+"""The order in which one scan visits a tree; see DESIGN, "The XLA CPU trap".
 
 A scan per chain would compile a program per chain. Instead the joints stand in one row, each branch after the other,
 and a few registers remember the state at a branching until its last branch has been started: none for a serial arm,
-one for most humanoids and hands. A ball or free joint takes a step per velocity coordinate, like a row of hinges and
-slides at one point.
+one for most humanoids and hands. Kinematics take a step per joint; dynamics a step per velocity coordinate, where a
+ball or free joint is like a row of hinges and slides at one point.
 
 A gradient computes a step's inner values again (`jax.checkpoint`) rather than read them back from memory: measured,
 a quarter of the time for a humanoid of 27 coordinates in batches of 1024.
@@ -24,13 +24,13 @@ WORLD, PREVIOUS = -2, -1
 
 
 class Sequence(NamedTuple):
-    """One step per velocity coordinate, parents before children; static and hashable."""
+    """One step per joint or per velocity coordinate, parents before children; static and hashable."""
 
     joint: tuple[int, ...]
     place: tuple[int, ...]
-    """Which of its joint's coordinates, from 0."""
+    """Which of its joint's coordinates, from 0; 0 where a step is a whole joint."""
     velocity: tuple[int, ...]
-    """Where the coordinate stands in v."""
+    """Where the (first) coordinate stands in v."""
     source: tuple[int, ...]
     """Where the state before the step is: WORLD, PREVIOUS step, or a register from 0."""
     keep: tuple[int, ...]
@@ -38,6 +38,8 @@ class Sequence(NamedTuple):
     parent: tuple[int, ...]
     """The step before this one on the way to the world, or -1."""
     registers: int
+    whole: bool
+    """Whether a step is a whole joint."""
     joint_kind: tuple[str, ...]
     joint_q: tuple[int, ...]
 
@@ -49,11 +51,15 @@ class Sequence(NamedTuple):
     @property
     def opening(self) -> np.ndarray:
         """Whether the step moves into its joint's frame; a free joint first shifts along the world's axes."""
+        if self.whole:
+            return np.ones(len(self.joint), bool)
         return np.array([p == (3 if k == FREE else 0) for p, k in zip(self.place, self.kind, strict=True)], bool)
 
     @property
     def closing(self) -> np.ndarray:
         """Whether the step is its joint's last, after which the links that the joint carries move."""
+        if self.whole:
+            return np.ones(len(self.joint), bool)
         return np.array([p == NV[k] - 1 for p, k in zip(self.place, self.kind, strict=True)], bool)
 
     @property
@@ -72,12 +78,30 @@ def sequence(topology: Topology) -> Sequence:
     Returns:
         The order. The branch that needs most registers comes last, so that few are needed (Sethi and Ullman's rule).
     """
+    return _sequence(topology, tuple(range(len(topology.joint_kind))), whole=False)
+
+
+@functools.lru_cache(maxsize=256)
+def joint_sequence(topology: Topology, joints: tuple[int, ...]) -> Sequence:
+    """Put joints in an order that a scan can follow, a step per joint.
+
+    Args:
+        topology: the robot's.
+        joints: those to visit; with each one all before it on the way to the world.
+
+    Returns:
+        The order.
+    """
+    return _sequence(topology, joints, whole=True)
+
+
+def _sequence(topology: Topology, joints: tuple[int, ...], whole: bool) -> Sequence:
     carried = carriers(topology).joint
-    children: dict[int, list[int]] = {j: [] for j in range(-1, len(carried))}
-    for joint, parent in enumerate(carried):
-        children[parent].append(joint)
-    need = [0] * len(carried)
-    for joint in reversed(range(len(carried))):
+    children: dict[int, list[int]] = {j: [] for j in (-1, *joints)}
+    for joint in joints:
+        children[carried[joint]].append(joint)
+    need = dict.fromkeys(joints, 0)
+    for joint in reversed(joints):
         children[joint].sort(key=lambda child: need[child])
         *others, last = [need[child] for child in children[joint]] or [0]
         need[joint] = max([last, *(1 + other for other in others)])
@@ -90,14 +114,14 @@ def sequence(topology: Topology) -> Sequence:
         starts = [PREVIOUS] + [level] * (len(below) - 1)
         levels = [level + 1] * (len(below) - 1) + [level]
         waiting += reversed(list(zip(below, starts, levels[: len(below)], strict=False)))
-    return _steps(topology, carried, order)
+    return _steps(topology, carried, order, whole)
 
 
-def _steps(topology: Topology, carried: tuple[int, ...], order: list[tuple[int, int, int]]) -> Sequence:
+def _steps(topology: Topology, carried: tuple[int, ...], order: list[tuple[int, int, int]], whole: bool) -> Sequence:
     rows: list[tuple[int, int, int, int, int, int]] = []
     last: dict[int, int] = {-1: -1}
     for joint, source, keep in order:
-        width = NV[topology.joint_kind[joint]]
+        width = 1 if whole else NV[topology.joint_kind[joint]]
         for place in range(width):
             rows.append(
                 (
@@ -112,7 +136,8 @@ def _steps(topology: Topology, carried: tuple[int, ...], order: list[tuple[int, 
         last[joint] = len(rows) - 1
     joints, places, velocities, starts, kept, parents = (tuple(row[k] for row in rows) for k in range(6))
     registers = max(kept, default=-1) + 1
-    return Sequence(joints, places, velocities, starts, kept, parents, registers, topology.joint_kind, topology.joint_q)
+    kinds, addresses = topology.joint_kind, topology.joint_q
+    return Sequence(joints, places, velocities, starts, kept, parents, registers, whole, kinds, addresses)
 
 
 class _Flags(NamedTuple):
@@ -152,6 +177,11 @@ def outward(order: Sequence, step: Callable[[Any, Any], tuple[Any, Any]], world:
     Returns:
         The outputs, (n, ...).
     """
+    return walk(order, step, world, steps)[1]
+
+
+def walk(order: Sequence, step: Callable[[Any, Any], tuple[Any, Any]], world: Any, steps: Any) -> tuple[Any, Any]:
+    """Go outwards as `outward` does, and return the state after the last step as well as the outputs."""
 
     def body(carry: Any, now: Any) -> Any:
         state, kept = carry
@@ -164,7 +194,8 @@ def outward(order: Sequence, step: Callable[[Any, Any], tuple[Any, Any]], world:
         kept = tuple(_choose(keep, state, register) for keep, register in zip(flags.keep, kept, strict=True))
         return (state, kept), out
 
-    return jax.lax.scan(body, (world, (world,) * order.registers), (_flags(order), steps))[1]
+    (last, _), outputs = jax.lax.scan(body, (world, (world,) * order.registers), (_flags(order), steps))
+    return last, outputs
 
 
 def inward(order: Sequence, step: Callable[[Any, Any], tuple[Any, Any]], nothing: Any, steps: Any) -> Any:
