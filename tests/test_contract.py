@@ -15,8 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from kalman_models import build as kalman_body
+from onsite_models import position, rotation, window
 
-from jaxest.filters import complementary, kalman, run
+from jaxest.filters import bingham_linear, complementary, kalman, rls, run
 from jaxest.io.checkpoint import load_state, save_state
 from jaxest.systems import orientation
 from jaxest.types import NON_FINITE, OK, Reading, System
@@ -38,6 +39,11 @@ ROWS = [
     Row("orientation_projection", partial(orientation.build, None, SIX, update=complementary.projection)),
     Row("orientation_covariance", partial(orientation.build, covariance=True), {"shaking": 1.0}),
     Row("kalman", kalman_body),
+    Row("savitzky_golay", window),
+    Row("bingham_linear", rotation),
+    Row("bingham_linear_general", partial(rotation, bingham_linear.general)),
+    Row("rls", position),
+    Row("rls_pseudo_inverse", partial(position, rls.pseudo_inverse)),
     Row("kalman_iterated", partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0)),
 ]
 STEPS = 12

@@ -5,22 +5,35 @@ An estimator is a file: `complementary` gives the orientation of one IMU, `compl
 known. Its parameters, state, measurement and `init` / `step` live there; batches are the caller's `vmap`. `kalman`
 makes a filter and a smoother of any model on a product manifold.
 
+`savitzky_golay` smooths and differentiates on real time stamps, `bingham_linear` finds the rotation between two gyros,
+`rls` solves for three unknowns as observations come.
+
 Not here: sensors and robots (a filter is handed functions), and complete estimators for a robot, which are in
 `jaxest.systems`.
 """
 
-from jaxest.filters import complementary, complementary_covariance, kalman
+from jaxest.filters import (
+    bingham_linear,
+    complementary,
+    complementary_covariance,
+    kalman,
+    rls,
+    savitzky_golay,
+)
 from jaxest.filters.run import Every, Last, Sampled, every, full, last, run
 
 __all__ = [
     "Every",
     "Last",
     "Sampled",
+    "bingham_linear",
     "complementary",
     "complementary_covariance",
     "every",
     "full",
     "kalman",
     "last",
+    "rls",
     "run",
+    "savitzky_golay",
 ]

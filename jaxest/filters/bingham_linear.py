@@ -1,0 +1,421 @@
+"""Bingham linear filter: the rotation between two frames from pairs of vectors, here rates of two gyros on one link.
+
+A pair obeys a = R(q) b + c, c the relative bias of the two sensors. The likelihood of q is a Bingham density
+exp(q' A q) whose A is linear in the pairs' second moments, so the state keeps those, centred about their means: the
+relative bias is then integrated out exactly, and noise, its anisotropy and the bias' prior are applied on reading.
+
+Source: Sato 2024, section III-D, with H(a, b) = [[0, -(a-b)'], [(a-b), [(a+b)x]]] in place of eq. 31, whose null vector
+is the conjugate; Srivatsan, Xu, Zevallos, Choset 2018.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxest.filters._small import eigen4, inverse3, largest, outer, product, sandwich
+from jaxest.manifolds import quaternion as quat
+from jaxest.manifolds.base import as_array
+from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
+
+LEAST = 2.5  # pairs: two directions and the mean take three, less what may have been forgotten
+
+
+class Params(NamedTuple):
+    """What may be tuned or differentiated."""
+
+    covariance_a: ArrayLike = np.diag([1e-4] * 3)
+    """(3, 3) of a sample's white noise in `a`, (rad/s)^2."""
+    covariance_b: ArrayLike = np.diag([1e-4] * 3)
+    """(3, 3) likewise in `b`."""
+    bias: ArrayLike = 1.0
+    """() rad/s, standard deviation, about each axis, of the relative bias before any data; 0 for none."""
+    forgetting: ArrayLike = 1.0
+    """() gamma_rot: how much of the past is kept at each valid pair, above 0 to 1."""
+
+
+class Pair(NamedTuple):
+    """One pair of vectors."""
+
+    a: Reading
+    """value (3,) rad/s, in the destination frame."""
+    b: Reading
+    """value (3,) rad/s, in the source frame."""
+    dt: ArrayLike
+    """() s, not used."""
+
+
+class State(NamedTuple):
+    """Moments of the pairs z = (a, b)."""
+
+    weight: Array
+    """() number of pairs, less what was forgotten."""
+    mean: Array
+    """(6,) rad/s"""
+    scatter: Array
+    """(6, 6) weighted sum of (z - mean)(z - mean)'."""
+    index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
+    """() int32, steps seen."""
+
+
+class Estimate(NamedTuple):
+    """What the moments say of the rotation."""
+
+    quaternion: Array
+    """(4,) wxyz, the mode: a = R(q) b + bias."""
+    covariance: Array
+    """(3, 3) rad^2 of the mode's error, a rotation vector in the frame of `b` (perturbed on the right)."""
+    bias: Array
+    """(3,) rad/s, relative: of `a` less that of `b`, in the frame of `a`."""
+    residual: Array
+    """(3, 3) (rad/s)^2, covariance of a - R b - bias in the data, to be compared with what the noise predicts."""
+    parameter: Array
+    """(4, 4) A of the Bingham density, its trace 0 (a multiple of the identity means nothing)."""
+
+
+class Info(NamedTuple):
+    """The estimate after a step."""
+
+    quaternion: Array
+    """(4,) wxyz, as in `Estimate`."""
+    covariance: Array
+    """(3, 3) rad^2, as in `Estimate`."""
+    bias: Array
+    """(3,) rad/s, as in `Estimate`."""
+    residual: Array
+    """(3, 3) (rad/s)^2, as in `Estimate`."""
+    innovation: Array
+    """(3,) rad/s, a - R b - bias with the estimate before the step; 0 where there is no pair."""
+    log_evidence: Array
+    """() log density of the innovation given the past; 0 where there is no pair, and for the first three."""
+    valid: Array
+    """() bool, whether the rotation is known better than 0.3 rad about every axis."""
+    status: Array
+    """() int32, `OK` or `NON_FINITE`."""
+
+
+Information = Callable[[Array, Array], Array]
+
+
+def pair_matrix(a: ArrayLike, b: ArrayLike) -> Array:
+    """Return H(a, b), (4, 4), with H(a, b) q = 0 where a = R(q) b; |H q| = |a - R(q) b|.
+
+    Args:
+        a: (3,) vector after the rotation.
+        b: (3,) vector before.
+
+    Returns:
+        (4, 4).
+
+    Raises:
+        ValueError: a shape is wrong.
+
+    Source: Sato 2024, eq. 31, corrected.
+    """
+    a, b = as_array("a", a, 3), as_array("b", b, 3)
+    return jnp.sum(_basis(a.dtype) * jnp.concatenate([a, b])[:, None, None], axis=0)
+
+
+def _basis(dtype: Any) -> Array:
+    """The six matrices (6, 4, 4) that H is linear in."""
+    basis = np.zeros((6, 4, 4))
+    for k in range(3):
+        unit = np.eye(3)[k]
+        skew = np.cross(np.eye(3), unit)  # [unit x], for row i is e_i x unit = the i-th row of [unit x]
+        for sign, at in ((1, k), (-1, 3 + k)):
+            basis[at, 0, 1:], basis[at, 1:, 0], basis[at, 1:, 1:] = -sign * unit, sign * unit, skew
+    return jnp.asarray(basis, dtype)
+
+
+def isotropic(covariance_a: Array, covariance_b: Array) -> Array:
+    """Return the inverse (4, 4) of Sigma_H for rotations spread evenly: a multiple of the identity, in closed form.
+
+    Exactly what `general` gives for Sigma_q = I/4 wherever the covariances are isotropic.
+    """
+    return jnp.eye(4, dtype=covariance_a.dtype) * (4 / (jnp.trace(covariance_a) + jnp.trace(covariance_b)))
+
+
+def general(covariance_a: Array, covariance_b: Array, second_moment: Array | None = None) -> Array:
+    """Return the inverse (4, 4) of Sigma_H for any noise.
+
+    Args:
+        covariance_a: (3, 3) of a's noise.
+        covariance_b: (3, 3) of b's noise.
+        second_moment: (4, 4) E[q q'] of what is believed of q (not its covariance); I/4, evenly spread, if None.
+
+    Returns:
+        (4, 4).
+
+    Source: Sato 2024, eqs. 33 and 34.
+    """
+    return jnp.linalg.inv(noise_matrix(covariance_a, covariance_b, second_moment))
+
+
+def noise_matrix(covariance_a: Array, covariance_b: Array, second_moment: Array | None = None) -> Array:
+    """Return Sigma_H (4, 4), the covariance of H(a, b) q under noise; arguments as for `general`."""
+    basis = _basis(covariance_a.dtype)
+    spread = jnp.eye(4, dtype=basis.dtype) / 4 if second_moment is None else second_moment
+    total = jnp.zeros((4, 4), basis.dtype)
+    for block, covariance in ((basis[:3], covariance_a), (basis[3:], covariance_b)):
+        moved = jnp.einsum("mij,jk,nlk->mnil", block, spread, block)
+        total = total + jnp.sum(covariance[:, :, None, None] * moved, axis=(0, 1))
+    return total
+
+
+def init(params: Params, *, key: Array | None = None) -> State:
+    """Return the state that has seen no pair, in the dtype of the parameters; `key` is not used."""
+    dtype = jnp.result_type(*params)
+    dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
+    zero = jnp.zeros((), dtype)
+    return State(zero, jnp.zeros(6, dtype), jnp.zeros((6, 6), dtype), jnp.zeros((), jnp.int32))
+
+
+def add(state: State, z: Array, weight: Array, forgetting: Array) -> State:
+    """Take in one pair.
+
+    Args:
+        state: the moments.
+        z: (6,) a and b, finite.
+        weight: () how much it counts; with 0 nothing changes, nothing is forgotten.
+        forgetting: () factor on the past.
+
+    Returns:
+        The next state.
+
+    Source: Sato 2024, eq. 36; Welford 1962 for the centred sums.
+    """
+    past = jnp.where(weight > 0, forgetting * state.weight, state.weight)
+    total = past + weight
+    share = weight / jnp.where(total > 0, total, 1)
+    away = z - state.mean
+    kept = jnp.where(weight > 0, forgetting, 1) * state.scatter
+    scatter = kept + (past * share) * outer(away, away)
+    return State(total, state.mean + share * away, scatter, state.index + 1)
+
+
+def moments(params: Params, state: State) -> Array:
+    """Return the second moments (6, 6) with the relative bias integrated out under its prior."""
+    dtype = state.mean.dtype
+    noise = (jnp.trace(jnp.asarray(params.covariance_a)) + jnp.trace(jnp.asarray(params.covariance_b))).astype(
+        dtype
+    ) / 3
+    prior = jnp.asarray(params.bias, dtype) ** 2
+    # n pairs against a prior of n0 pairs: the mean counts n n0 / (n + n0), which tends to n where no bias is allowed.
+    some = noise + prior * state.weight
+    share = state.weight * noise / jnp.where(some > 0, some, 1)
+    return state.scatter + share * outer(state.mean, state.mean)
+
+
+def parameter(second: Array, information: Array | None = None, total: ArrayLike | None = None) -> Array:
+    """Return A (4, 4) of the Bingham density, less the multiple of the identity that makes it traceless.
+
+    Args:
+        second: (6, 6) sum of z z' over the pairs z = (a, b).
+        information: (4, 4) inverse of Sigma_H.
+        total: () in place of `information`: trace of both covariances, for the closed form -(2 / total) H'H.
+
+    Returns:
+        (4, 4) symmetric.
+
+    Source: Sato 2024, eq. 35; for the closed form Davenport 1968 (the q-method): q'A q grows as (4 / total) a' R(q) b.
+    """
+    if information is None:
+        b = second[:3, 3:]
+        trace = b[0, 0] + b[1, 1] + b[2, 2]
+        side = jnp.stack([b[2, 1] - b[1, 2], b[0, 2] - b[2, 0], b[1, 0] - b[0, 1]])
+        lower = b + b.T - trace * jnp.eye(3, dtype=b.dtype)
+        davenport = jnp.concatenate(
+            [jnp.concatenate([trace[None], side])[None], jnp.concatenate([side[:, None], lower], axis=1)]
+        )
+        return davenport * (4 / jnp.asarray(1.0 if total is None else total, b.dtype))
+    basis = _basis(second.dtype)
+    a = -jnp.einsum("mn,mki,kl,nlj->ij", second, basis, information, basis) / 2
+    a = (a + a.T) / 2
+    return a - jnp.trace(a) / 4 * jnp.eye(4, dtype=a.dtype)
+
+
+def estimate(params: Params, state: State, *, information: Information | None = None) -> Estimate:
+    """Read the rotation, its covariance and the relative bias from the moments.
+
+    The covariance is that of the likelihood of a - R b, not the Bingham's own, which is overconfident by about 4/3
+    where Sigma_q = I/4 stands in for the unknown rotation.
+
+    Args:
+        params: noise and prior.
+        state: the moments.
+        information: how noise becomes the inverse of Sigma_H: None for the closed form with the mean variance, or
+            `general`; static.
+
+    Returns:
+        The estimate; no rotation and a covariance of half a turn squared while there are fewer than three pairs.
+    """
+    dtype = state.mean.dtype
+    noise_a, noise_b = (jnp.asarray(x, dtype) for x in params[:2])
+    second = moments(params, state)
+    total = jnp.trace(noise_a) + jnp.trace(noise_b)
+    a = parameter(second, None if information is None else information(noise_a, noise_b), total)
+    some = state.weight > LEAST
+    values, vectors = eigen4(jnp.where(some, a, jnp.diag(jnp.asarray([1.0, 0.0, 0.0, 0.0], dtype))))
+    q = largest(values, vectors)
+    r = quat.to_matrix(q)
+    noise = noise_a + sandwich(r, noise_b)
+    # What the product of the readings' noise may pretend, to two standard deviations, is no information.
+    margin = (
+        12
+        * jnp.sqrt(jnp.where(some, state.weight, 1) * jnp.trace(noise_a) * jnp.trace(noise_b))
+        / jnp.where(total > 0, 3 * total, 1)
+    )
+    if information is None:
+        gap = jnp.where(some, jnp.max(values) - values, 0)
+        covariance = _spread(gap * 3 / 8, vectors, q, margin)
+    else:
+        # The product of two independent readings has no noise of its own on average, unlike the square of one.
+        clean = product(r.T, second[:3, 3:])
+        precision = _turning((clean + clean.T) / 2, sandwich(r.T, inverse3(noise)))
+        wide = jnp.zeros((4, 4), dtype).at[1:, 1:].set(jnp.where(some, precision, 0))
+        covariance = _spread(*eigen4(wide), jnp.eye(4, dtype=dtype)[0], margin)
+    return _rest(params, state, second, Estimate(q, covariance, noise[0], noise, a))
+
+
+def _spread(precision: Array, vectors: Array, q: Array, margin: Array) -> Array:
+    """Covariance (3, 3) from precisions (4,) of turns about the directions that unit quaternions (4, 4) lead in."""
+    prior = 3 / math.pi**2  # nothing known is about half a turn
+    variance = 1 / (jnp.maximum(precision - margin, 0) + prior)
+    w, x, y, z = q
+    zero = jnp.zeros_like(w)
+    # Rows of the vector part of conj(q) v.
+    back = jnp.stack([-x, w, z, -y, -y, -z, w, x, -z, y, -x, w]).reshape(3, 4) + zero
+    axes = product(back, vectors)
+    return product(axes * variance[None, :], axes.T)
+
+
+def _rest(params: Params, state: State, second: Array, found: Estimate) -> Estimate:
+    """Fill in the relative bias and the residuals' covariance; `found.residual` holds the noise of a - R b."""
+    r = quat.to_matrix(found.quaternion)
+    centre = state.mean[:3] - jnp.sum(r * state.mean[None, 3:], axis=1)
+    variance = jnp.asarray(params.bias, second.dtype) ** 2 * state.weight
+    bias = centre * variance / jnp.where(variance > 0, variance + jnp.trace(found.residual) / 3, 1)
+    crossed = product(second[:3, 3:], r.T)
+    spread = second[:3, :3] - crossed - crossed.T + sandwich(r, second[3:, 3:])
+    free = jnp.where(state.weight > 2, state.weight - 2, 1)  # six numbers are fitted to three equations a pair
+    return found._replace(bias=bias, residual=(spread + spread.T) / 2 / free)
+
+
+def _turning(second: Array, weight: Array) -> Array:
+    """Sum of [b x]' W [b x] from the sum `second` of b b', both (3, 3) symmetric."""
+
+    def own(i: int) -> Array:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        return second[j, j] * weight[k, k] + second[k, k] * weight[j, j] - 2 * second[j, k] * weight[j, k]
+
+    def off(i: int, j: int) -> Array:
+        k = 3 - i - j
+        return (
+            second[i, k] * weight[j, k] + second[j, k] * weight[i, k]
+            - second[i, j] * weight[k, k] - second[k, k] * weight[i, j]
+        )  # fmt: skip
+
+    x, y, z = own(0), own(1), own(2)
+    a, b, c = off(0, 1), off(0, 2), off(1, 2)
+    return jnp.stack([x, a, b, a, y, c, b, c, z]).reshape(3, 3)
+
+
+def step(
+    params: Params, state: State, measurement: Pair, *, key: Array | None = None, information: Information | None = None
+) -> tuple[State, Info]:
+    """Take in one pair and read the estimate.
+
+    Args:
+        params: noise, prior and forgetting.
+        state: as `init` or the previous step returned it.
+        measurement: one pair; without either of its readings it adds nothing and nothing is forgotten.
+        key: not used.
+        information: as for `estimate`, static.
+
+    Returns:
+        The next state and the info.
+
+    Raises:
+        ValueError: a shape is wrong.
+
+    Source: Sato 2024, eqs. 35 and 36, forgetting once a valid pair.
+    """
+    dtype = state.mean.dtype
+    z, there, status = usable(measurement, dtype)
+    before = estimate(params, state, information=information)
+    ready = state.weight > LEAST
+    innovation, log_evidence = _surprise(params, state, before, z)
+    state = add(state, z, there.astype(dtype), jnp.asarray(params.forgetting, dtype))
+    after = estimate(params, state, information=information)
+    known = jnp.max(jnp.diagonal(after.covariance)) < 0.09
+    info = Info(
+        *after[:4],
+        jnp.where(there, innovation, 0),
+        jnp.where(there & ready, log_evidence, 0),
+        known & (state.weight > 2),
+        status,
+    )
+    return state, info
+
+
+def _surprise(params: Params, state: State, before: Estimate, z: Array) -> tuple[Array, Array]:
+    """Innovation of a pair and the log of its Gaussian predictive density."""
+    dtype = z.dtype
+    r = quat.to_matrix(before.quaternion)
+    innovation = z[:3] - jnp.sum(r * z[None, 3:], axis=1) - before.bias
+    noise_a, noise_b = (jnp.asarray(x, dtype) for x in params[:2])
+    noise = noise_a + sandwich(r, noise_b)
+    away = z[3:] - state.mean[3:]
+    turned = product(r, jnp.cross(away[None, :], jnp.eye(3, dtype=dtype)).T)  # R [b x], about the mean
+    level = jnp.trace(noise) / 3
+    prior = jnp.asarray(params.bias, dtype) ** 2
+    left = prior * level / (prior * state.weight + level)  # variance of the relative bias that is left
+    spread = noise + sandwich(turned, before.covariance) + left * jnp.eye(3, dtype=dtype)
+    inverse = inverse3(spread)
+    square = jnp.sum(innovation[:, None] * inverse * innovation[None, :])
+    det = jnp.sum(spread[0] * jnp.cross(spread[1], spread[2]))
+    safe = jnp.where(det > 0, det, 1)
+    return innovation, -(square + jnp.log(safe) + 3 * math.log(2 * math.pi)) / 2
+
+
+def usable(measurement: Pair, dtype: Any) -> tuple[Array, Array, Array]:
+    """Return the pair (6,) with 0 where it is not there, whether it is, and the status; ValueError for shapes."""
+    values, flags, bad = [], [], []
+    for name in ("a", "b"):
+        reading = getattr(measurement, name)
+        value, flag = jnp.asarray(reading.value, dtype), jnp.asarray(reading.valid, bool)
+        if value.shape != (3,) or flag.shape != ():
+            raise ValueError(
+                f"measurement.{name}: got shapes {value.shape} and {flag.shape}, expected (3,) and (); vmap or run "
+                "adds other axes"
+            )
+        finite = jnp.all(jnp.isfinite(value))
+        values.append(value)
+        flags.append(flag & finite)
+        bad.append(flag & ~finite)
+    there = flags[0] & flags[1]
+    z = jnp.concatenate(values)
+    return jnp.where(there, z, 0), there, jnp.where(bad[0] | bad[1], NON_FINITE, OK).astype(jnp.int32)
+
+
+__all__ = [
+    "Estimate",
+    "Info",
+    "Information",
+    "Pair",
+    "Params",
+    "State",
+    "add",
+    "estimate",
+    "general",
+    "init",
+    "isotropic",
+    "moments",
+    "noise_matrix",
+    "pair_matrix",
+    "parameter",
+    "step",
+    "usable",
+]

@@ -1,0 +1,310 @@
+"""Recursive least squares for vector observations y = O x + noise, with a covariance that can be believed.
+
+`step` keeps the information form of Sato 2024, Algorithm 1, and goes past it in two ways. Regressors that are
+themselves noisy shrink the estimate; what their noise adds to the information on average is taken off again. Residuals
+of overlapping windows are correlated; the covariance is therefore that of the sums of whole blocks of steps, each
+longer than the correlation, evaluated at the newest estimate. `square_root_step` is the same recursion without either,
+on a triangular factor: half the digits suffice.
+
+Source: Sato 2024, eqs. 16 to 20 and Algorithm 1, with the forgetting on the old terms; Moon and Stirling 2000, section
+4.11.1; Fuller 1987 (Measurement Error Models), section 2.2; Newey and West 1987 for the sandwich.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from jaxest.filters._small import eigen4, inverse3, outer, product
+from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
+
+
+class Params(NamedTuple):
+    """What may be tuned or differentiated."""
+
+    forgetting: ArrayLike = 1.0
+    """() gamma_pos: how much of the past is kept at each valid step, above 0 to 1."""
+    prior: ArrayLike = 0.0
+    """() standard deviation of each unknown before any data, about 0; 0 for no prior."""
+    floor: ArrayLike = 1e-6
+    """() least standard deviation of an observation, in its own unit; keeps the residuals' covariance regular."""
+
+
+class Observation(NamedTuple):
+    """One vector observation."""
+
+    regressor: Reading
+    """value (3, 3), O."""
+    target: Reading
+    """value (3,), y."""
+    regressor_noise: ArrayLike
+    """(3, 3) expected E' E of the regressor's noise E whose columns the unknowns multiply; zeros if exact. It is taken
+    off the information with the mean variance of the residuals."""
+    dt: ArrayLike
+    """() s, not used."""
+
+
+class State(NamedTuple):
+    """What the next step needs; the weights are inverses of residual covariances."""
+
+    information: Array
+    """(3, 3) P^-1, without the prior."""
+    projection: Array
+    """(3,) Q."""
+    queue: Array
+    """(N_lag, 3) residuals as they came, newest last."""
+    block: Array
+    """(12,) Q and P^-1 of the steps since the last whole block."""
+    blocks: Array
+    """(12, 12) sum over whole blocks of that vector with itself."""
+    pending: Array
+    """() bool, whether the sums are still to be divided by the residuals' variance."""
+    seen: Array
+    """() int32, valid steps."""
+    index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
+    """() int32, steps seen."""
+
+
+class Info(NamedTuple):
+    """The estimate after a step."""
+
+    estimate: Array
+    """(3,) x."""
+    covariance: Array
+    """(3, 3) that of blocks once there are 8 of them, P before."""
+    formal: Array
+    """(3, 3) P, as if residuals were independent."""
+    residual: Array
+    """(3,) y - O x with the estimate before; 0 where there is nothing."""
+    noise: Array
+    """(3, 3) C, covariance of the residuals over N_lag."""
+    valid: Array
+    """() bool, whether every unknown is determined."""
+    status: Array
+    """() int32, `OK` or `NON_FINITE`."""
+
+
+def init(params: Params, *, key: Array | None = None, lag: int = 100) -> State:
+    """Return the state that has seen nothing, in the dtype of the parameters.
+
+    Args:
+        params: the filter's parameters.
+        key: not used.
+        lag: N_lag, static: residuals that their covariance is taken over.
+
+    Returns:
+        The state.
+
+    Raises:
+        ValueError: `lag` is below 3.
+    """
+    if lag < 3:
+        raise ValueError(f"lag: got {lag}, expected at least 3")
+    dtype = jnp.result_type(*params)
+    dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
+    none = jnp.zeros((), jnp.int32)
+    information, projection, queue, block, blocks = (
+        jnp.zeros(shape, dtype) for shape in ((3, 3), (3,), (lag, 3), (12,), (12, 12))
+    )
+    return State(information, projection, queue, block, blocks, none > 0, none, none)
+
+
+Start = Callable[[Array, Array], tuple[Array, Array]]
+
+
+def patient(noise: Array, full: Array) -> tuple[Array, Array]:
+    """Weigh all alike until the queue is full, then rescale what came so far by the mean variance.
+
+    A covariance of a few residuals, of estimates that those residuals made, would give single steps any weight.
+
+    Args:
+        noise: (3, 3) covariance of the residuals.
+        full: () bool, whether the queue is.
+
+    Returns:
+        The weight (3, 3), and whether it is to be rescaled later.
+    """
+    return jnp.where(full, inverse3(noise), jnp.eye(3, dtype=noise.dtype)), ~full
+
+
+def pseudo_inverse(noise: Array, full: Array) -> tuple[Array, Array]:
+    """Weigh by the pseudo-inverse from the first residual on, as the paper does; arguments as for `patient`."""
+    wide = jnp.zeros((4, 4), noise.dtype).at[:3, :3].set(noise)
+    values, vectors = eigen4(wide)
+    real = values > 1e-3 * jnp.sqrt(jnp.finfo(noise.dtype).eps) * jnp.max(values)
+    inverse = product(vectors * jnp.where(real, 1 / jnp.where(real, values, 1), 0)[None, :], vectors.T)
+    return inverse[:3, :3], jnp.zeros_like(full)
+
+
+def step(
+    params: Params,
+    state: State,
+    measurement: Observation,
+    *,
+    key: Array | None = None,
+    block: int = 50,
+    start: Start = patient,
+) -> tuple[State, Info]:
+    """Take in one observation.
+
+    Args:
+        params: forgetting, prior and floor.
+        state: as `init` or the previous step returned it.
+        measurement: one observation; without either of its readings nothing changes and nothing is forgotten.
+        key: not used.
+        block: static, valid steps in a block; several times the correlation of the residuals, such as a filter's
+            window.
+        start: static, how residuals become a weight: `patient` or `pseudo_inverse`.
+
+    Returns:
+        The next state and the estimate.
+
+    Raises:
+        ValueError: a shape is wrong or the block is empty.
+
+    Source: Sato 2024, Algorithm 1, residuals queued as they came, P^-1[n] = gamma P^-1[n-1] + O' C^-1 O.
+    """
+    if block < 1:
+        raise ValueError(f"block: got {block}, expected at least 1")
+    dtype = state.projection.dtype
+    o, y, noisy, there, status = usable(measurement, dtype)
+    gamma, prior, floor = (jnp.asarray(x, dtype) for x in params)
+    before = jnp.sum(_inverse(state, prior, _unit(state.queue, state.seen, floor)) * state.projection[None, :], axis=1)
+    residual = jnp.where(there, y - jnp.sum(o * before[None, :], axis=1), 0)
+    queue = jnp.where(there, jnp.concatenate([state.queue[1:], residual[None]]), state.queue)
+    seen = state.seen + there.astype(jnp.int32)
+    noise, unit = _noise(queue, seen, floor), _unit(queue, seen, floor)
+    weight, pending = start(noise, seen >= queue.shape[0])
+    pending = jnp.where(there, pending, state.pending)
+    ratio = jnp.where(state.pending & ~pending, 1 / unit, 1)
+    # What is added is zero where nothing came: the regressor and the target are.
+    weighted = product(weight, o)
+    gain = product(o.T, weighted) - jnp.where(there, jnp.trace(weight) / 3, 0) * noisy
+    moved = jnp.sum(weighted * y[:, None], axis=0)
+    kept = jnp.where(there, gamma, 1) * ratio
+    part = ratio * state.block + jnp.concatenate([moved, gain.reshape(9)])
+    whole = there & (seen % block == 0)
+    blocks = kept * kept * state.blocks + jnp.where(whole, outer(part, part), 0)
+    state = State(
+        kept * state.information + gain, kept * state.projection + moved, queue,
+        jnp.where(whole, 0, part), blocks, pending, seen, state.index + 1,
+    )  # fmt: skip
+    return state, _read(state, prior, unit, residual, noise, status, block)
+
+
+def _noise(queue: Array, seen: Array, floor: Array) -> Array:
+    """Covariance of the residuals in the queue; zeros that pad it at the start do not count."""
+    count = jnp.clip(seen, 2, queue.shape[0]).astype(queue.dtype)
+    squares = jnp.sum(queue[:, :, None] * queue[:, None, :], axis=0) / (count - 1)
+    return squares + floor * floor * jnp.eye(3, dtype=queue.dtype)
+
+
+def _unit(queue: Array, seen: Array, floor: Array) -> Array:
+    """Mean variance of the residuals in the queue."""
+    count = jnp.clip(seen, 2, queue.shape[0]).astype(queue.dtype)
+    return jnp.sum(queue * queue) / (3 * (count - 1)) + floor * floor
+
+
+def _inverse(state: State, prior: Array, unit: Array) -> Array:
+    """P, with the prior; 0 where something is not determined."""
+    extra = jnp.where(prior > 0, 1 / jnp.where(prior > 0, prior, 1) ** 2, 0)
+    information = state.information * jnp.where(state.pending, 1 / unit, 1)
+    found = inverse3((information + information.T) / 2 + extra * jnp.eye(3, dtype=prior.dtype))
+    return found * jnp.where(state.pending, 1 / unit, 1)
+
+
+def _read(
+    state: State, prior: Array, unit: Array, residual: Array, noise: Array, status: Array, block: int
+) -> Info:  # fmt: skip
+    scaled = _inverse(state, prior, unit)
+    estimate = jnp.sum(scaled * state.projection[None, :], axis=1)
+    formal = scaled * jnp.where(state.pending, unit, 1)
+    # A block's score at the newest estimate is Q_b - P_b^-1 x.
+    reading = jnp.concatenate([jnp.eye(3, dtype=noise.dtype), -_rows(estimate)], axis=1)
+    meat = product(product(reading, state.blocks), reading.T)
+    count = state.seen // block
+    scale = (count / jnp.maximum(count - 1, 1)).astype(noise.dtype)
+    covariance = product(product(scaled, meat * scale), scaled)
+    covariance = jnp.where(count >= 8, (covariance + covariance.T) / 2, formal)
+    return Info(estimate, covariance, formal, residual, noise, jnp.trace(formal) > 0, status)
+
+
+def _rows(x: Array) -> Array:
+    """Matrix (3, 9) that takes a (3, 3), written row by row, to its product with x."""
+    zero = jnp.zeros_like(x)
+    rows = [[x if i == j else zero for j in range(3)] for i in range(3)]
+    return jnp.stack([jnp.concatenate(row) for row in rows])
+
+
+def usable(measurement: Observation, dtype: Any) -> tuple[Array, Array, Array, Array, Array]:
+    """Return O, y and the noise term with 0 where missing, whether they are there, and the status.
+
+    Raises:
+        ValueError: a shape is wrong.
+    """
+    o, y = (jnp.asarray(x.value, dtype) for x in measurement[:2])
+    flags = [jnp.asarray(x.valid, bool) for x in measurement[:2]]
+    noisy = jnp.asarray(measurement.regressor_noise, dtype)
+    shapes = [x.shape for x in (o, y, noisy, *flags)]
+    if shapes != [(3, 3), (3,), (3, 3), (), ()]:
+        raise ValueError(
+            f"measurement: got shapes {shapes} for regressor, target, regressor_noise and the two valid, expected "
+            "(3, 3), (3,), (3, 3), (), (); vmap or run adds other axes"
+        )
+    finite = [jnp.all(jnp.isfinite(x)) for x in (o, y)]
+    there = flags[0] & flags[1] & finite[0] & finite[1] & jnp.all(jnp.isfinite(noisy))
+    broken = (flags[0] & ~finite[0]) | (flags[1] & ~finite[1])
+    status = jnp.where(broken, NON_FINITE, OK).astype(jnp.int32)
+    o, y, noisy = (jnp.where(there, x, 0) for x in (o, y, noisy))
+    return o, y, noisy, there, status
+
+
+class Triangle(NamedTuple):
+    """Square-root information: R with R'R = P^-1, and R x."""
+
+    root: Array
+    """(n, n) upper triangular."""
+    right: Array
+    """(n,) R x."""
+
+
+def square_root_step(state: Triangle, regressor: Array, target: Array, forgetting: ArrayLike = 1.0) -> Triangle:
+    """Take in one whitened observation by orthogonal rotations of the factor.
+
+    Args:
+        state: the factor; zeros before any data.
+        regressor: (m, n) O, each row divided by its observation's standard deviation.
+        target: (m,) y, likewise.
+        forgetting: () as in `Params`.
+
+    Returns:
+        The next factor. x = R^-1 right once R is regular.
+
+    Source: Bierman 1977 (Factorization Methods for Discrete Sequential Estimation), section IV.
+    """
+    n = state.root.shape[0]
+    kept = jnp.sqrt(jnp.asarray(forgetting, state.root.dtype))
+    stacked = jnp.concatenate(
+        [
+            kept * jnp.concatenate([state.root, state.right[:, None]], axis=1),
+            jnp.concatenate([regressor, target[:, None]], axis=1),
+        ]
+    )
+    top = jnp.linalg.qr(stacked, mode="r")[:n]
+    return Triangle(jnp.triu(top[:, :n]), top[:, n])
+
+
+__all__ = [
+    "Info",
+    "Observation",
+    "Params",
+    "Start",
+    "State",
+    "Triangle",
+    "init",
+    "patient",
+    "pseudo_inverse",
+    "square_root_step",
+    "step",
+    "usable",
+]
