@@ -16,8 +16,10 @@ import numpy as np
 import pytest
 from kalman_models import build as kalman_body
 from onsite_models import position, rotation, window
+from particle_models import GUIDED
+from particle_models import build as particle_arm
 
-from jaxest.filters import bingham_linear, complementary, kalman, rls, run
+from jaxest.filters import bingham_linear, complementary, kalman, resampling, rls, run
 from jaxest.io.checkpoint import load_state, save_state
 from jaxest.systems import orientation
 from jaxest.types import NON_FINITE, OK, Reading, System
@@ -45,7 +47,14 @@ ROWS = [
     Row("rls", position),
     Row("rls_pseudo_inverse", partial(position, rls.pseudo_inverse)),
     Row("kalman_iterated", partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0)),
+    Row("particle_bootstrap", particle_arm, differentiable=False),
+    Row(
+        "particle_guided",
+        partial(particle_arm, GUIDED, resampling.adaptive(resampling.stratified, 0.9)),
+        differentiable=False,
+    ),
 ]
+DIFFERENTIABLE = [row for row in ROWS if row.differentiable]
 STEPS = 12
 BATCH = 8
 # Compiles five times faster; what is compared with the live step is therefore also compiled differently.
@@ -261,9 +270,8 @@ def test_a_valid_value_that_is_not_finite_is_left_out_and_reported(case):
         same((state, history._replace(status=0)), (expected_state, expected._replace(status=0)))
 
 
-def test_gradient_is_the_finite_difference(case, row):
-    if not row.differentiable:
-        pytest.skip("tested by its score")
+@pytest.mark.parametrize("row", DIFFERENTIABLE, ids=[row.name for row in DIFFERENTIABLE], indirect=True)
+def test_gradient_is_the_finite_difference(case):
     gradient = case.gradients((case.params, case.measurements))[0]
     assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(gradient))
     names = sensors(case.measurements)

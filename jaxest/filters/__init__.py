@@ -6,7 +6,8 @@ known. Its parameters, state, measurement and `init` / `step` live there; batche
 makes a filter and a smoother of any model on a product manifold.
 
 `savitzky_golay` smooths and differentiates on real time stamps, `bingham_linear` finds the rotation between two gyros,
-`rls` solves for three unknowns as observations come.
+`rls` solves for three unknowns as observations come. `particle` follows any noise and any likelihood with particles,
+which `resampling` chooses.
 
 Not here: sensors and robots (a filter is handed functions), and complete estimators for a robot, which are in
 `jaxest.systems`.
@@ -17,6 +18,8 @@ from jaxest.filters import (
     complementary,
     complementary_covariance,
     kalman,
+    particle,
+    resampling,
     rls,
     savitzky_golay,
 )
@@ -33,6 +36,8 @@ __all__ = [
     "full",
     "kalman",
     "last",
+    "particle",
+    "resampling",
     "rls",
     "run",
     "savitzky_golay",

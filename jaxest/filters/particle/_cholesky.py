@@ -1,0 +1,84 @@
+"""Many small normal equations at once: the batch lies in the last axis, and every loop is over rows of (d, N).
+
+Written for a batch, not for one, for a measured reason: on CPU 256 systems of 4 unknowns and 13 equations take 8 us in
+all this way; batched products and LAPACK calls take 200. XLA turns sums over (d, d, N) or over middle axes into scalar
+loops, and recomputes what unrolled loops share.
+"""
+
+import jax
+import jax.numpy as jnp
+
+from jaxest.types import Array
+
+
+def normal_equations(residual: Array, jacobian: Array, at: Array, prior: Array) -> Array:
+    """Return the equations whose solution minimises `v' prior v + |residual + jacobian (v - at)|^2`.
+
+    Args:
+        residual: (m, N) with unit noise.
+        jacobian: (m, d, N) its derivative.
+        at: (d, N) where the residual was taken.
+        prior: (d, d) information.
+
+    Returns:
+        (d, d + 1, N): prior + J'J, and J'J at - J'r as the last column.
+    """
+    rows = jnp.concatenate([jacobian, -residual[:, None]], axis=1)
+
+    def line(_: None, now: tuple[Array, Array]) -> tuple[None, Array]:
+        i, known = now
+
+        def add(total: Array, row: Array) -> tuple[Array, None]:
+            return total + row * row[i][None], None
+
+        total = jax.lax.scan(add, jnp.zeros_like(rows[0]), rows)[0]
+        right = total[-1] + jnp.sum(total[:-1] * at, axis=0)
+        return None, jnp.concatenate([total[:-1] + known[:, None], right[None]])
+
+    return jax.lax.scan(line, None, (jnp.arange(prior.shape[0]), prior))[1]
+
+
+def factorize(equations: Array, floor: Array) -> Array:
+    """Factorise P = L L' and solve L y = b.
+
+    Args:
+        equations: (d, d + 1, N), P and b as the last column.
+        floor: (d,) what a pivot is raised to where rounding has left less.
+
+    Returns:
+        (d, d + 1, N): L', and y as the last column.
+    """
+    numbers = jnp.arange(equations.shape[0])
+
+    def column(done: Array, now: tuple[Array, Array, Array]) -> tuple[Array, None]:
+        j, row, least = now
+
+        def take(row: Array, earlier: Array) -> tuple[Array, None]:
+            return row - earlier * earlier[j][None], None
+
+        row = jax.lax.scan(take, row, done)[0]  # those not done yet are zero
+        row = row.at[j].max(least)
+        row = jnp.where((jnp.arange(row.shape[0]) >= j)[:, None], row, 0)
+        return done.at[j].set(row * jax.lax.rsqrt(row[j])[None]), None
+
+    return jax.lax.scan(column, jnp.zeros_like(equations), (numbers, equations, floor))[0]
+
+
+def solve(factor: Array, right: Array) -> Array:
+    """Solve L' x = b.
+
+    Args:
+        factor: (d, d + 1, N) as `factorize` returns it; its last column is not looked at.
+        right: (d, N) b.
+
+    Returns:
+        x (d, N).
+    """
+    numbers = jnp.arange(right.shape[0])
+
+    def back(x: Array, now: tuple[Array, Array, Array]) -> tuple[Array, None]:
+        j, row, b = now
+        value = (b - jnp.sum(row[:-1] * x, axis=0)) / row[j]  # x is zero up to j yet
+        return x.at[j].set(value), None
+
+    return jax.lax.scan(back, jnp.zeros_like(right), (numbers, factor, right), reverse=True)[0]

@@ -1,0 +1,78 @@
+"""How a state moves on: a mean, and noise in the tangent space at it."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxest.manifolds.base import Manifold
+from jaxest.types import Array, ArrayLike, PyTree
+
+
+class Transition(NamedTuple):
+    """The next state is `retract(mean(params, x, measurement), v)` with noise v (d,) that does not depend on x.
+
+    All functions, static; every `Reading` of the measurement they see is finite, 0 where it is invalid. For von Mises
+    noise hand its sampler and density, and as precision a concentration (0.8 kappa has the tails of a density with
+    kappa below 10 covered); for Gaussian noise see `gaussian`.
+    """
+
+    mean: Callable[[PyTree, PyTree, PyTree], PyTree]
+    """`(params, x, measurement) -> x`, `measurement.dt` later."""
+    draw: Callable[[PyTree, PyTree, Array, int], Array]
+    """`(params, measurement, key, count) -> (count, d)` noise for all particles at once."""
+    log_prob: Callable[[PyTree, Array, PyTree], Array]
+    """`(params, v, measurement) -> ()` log-density of the noise v (d,), exact."""
+    precision: Callable[[PyTree, PyTree], Array]
+    """`(params, measurement) -> (d,)` or (d, d) positive definite, of a Gaussian like the noise; only `guided` asks,
+    and any value is right, good ones save particles."""
+    bounded: bool = True
+    """Whether noise ends at half a turn, as the density of an angle does: what a proposal draws beyond then weighs
+    nothing. False for noise that may go round, such as Gaussian noise of an angle."""
+
+
+def gaussian(
+    mean: Callable[[PyTree, PyTree, PyTree], PyTree], deviation: Callable[[PyTree, PyTree], ArrayLike]
+) -> Transition:
+    """Return a transition with independent Gaussian noise in the tangent space.
+
+    Args:
+        mean: `(params, x, measurement) -> x`.
+        deviation: `(params, measurement) -> (d,)` standard deviations over that step, positive.
+
+    Returns:
+        The transition.
+    """
+
+    def draw(params: PyTree, measurement: PyTree, key: Array, count: int) -> Array:
+        scale = jnp.asarray(deviation(params, measurement))
+        return scale[None] * jax.random.normal(key, (count, scale.shape[0]), scale.dtype)
+
+    def log_prob(params: PyTree, v: Array, measurement: PyTree) -> Array:
+        scale = jnp.asarray(deviation(params, measurement), v.dtype)
+        return -jnp.sum((v / scale) ** 2 / 2 + jnp.log(scale) + jnp.log(2 * jnp.pi).astype(v.dtype) / 2)
+
+    def precision(params: PyTree, measurement: PyTree) -> Array:
+        return 1 / jnp.square(jnp.asarray(deviation(params, measurement)))
+
+    return Transition(mean, draw, log_prob, precision, bounded=False)
+
+
+def log_density(
+    manifold: Manifold, transition: Transition, params: PyTree, x: PyTree, moved: PyTree, v: Array, measurement: PyTree
+) -> Array:
+    """Return the log-density () of going from x to where the noise v (d,) led, `moved`.
+
+    Its derivative is that of the density at a fixed end: what the parameters move is the mean, and so the noise that
+    the same end takes.
+    """
+    way = manifold.local(transition.mean(params, x, measurement), moved)
+    density = transition.log_prob(params, v + (way - jax.lax.stop_gradient(way)), measurement)
+    if not transition.bounded:
+        return density
+    direct = jnp.all(jnp.abs(way - v) < 1)  # not so where v went more than half a turn
+    return jnp.where(direct, density, -jnp.inf)
+
+
+__all__ = ["Transition", "gaussian", "log_density"]
