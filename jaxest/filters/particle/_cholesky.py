@@ -82,3 +82,20 @@ def solve(factor: Array, right: Array) -> Array:
         return x.at[j].set(value), None
 
     return jax.lax.scan(back, jnp.zeros_like(right), (numbers, factor, right), reverse=True)[0]
+
+
+def whiten(factor: Array, value: Array) -> Array:
+    """Return L' value - y: standard normal where the value is drawn from the Gaussian that the equations describe.
+
+    Args:
+        factor: (d, d + 1, N) as `factorize` returns it.
+        value: (d, N).
+
+    Returns:
+        (d, N).
+    """
+
+    def line(_: None, row: Array) -> tuple[None, Array]:
+        return None, jnp.sum(row[:-1] * value, axis=0) - row[-1]
+
+    return jax.lax.scan(line, None, factor)[1]
