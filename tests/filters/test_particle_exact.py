@@ -16,6 +16,8 @@ from particle_models import von_mises
 from reference import ref_circle_filter as reference
 
 from jaxest.filters import kalman, particle, resampling, run
+from jaxest.filters.particle import _cholesky
+from jaxest.filters.particle.proposal import _posterior
 from jaxest.manifolds import Euclidean, circle, quaternion
 from jaxest.types import OK, Reading
 
@@ -240,6 +242,22 @@ def test_one_angle_is_the_quadrature(noise, walk, guided):
     assert abs(off.mean()) < 4.5 * off.std() / np.sqrt(RUNS) + 0.1 * deviation
 
 
+def test_noise_ends_at_half_a_turn():
+    """Without a measurement the mean weight is 1, though a tenth of the proposal's Gaussian lies beyond the circle."""
+    params, count = LeverParams(jnp.float32(0.5)), 20_000
+    nothing = Reading(jnp.float32(0), jnp.bool_(False))
+    measurement = Lever(nothing, nothing, jnp.float32(1))
+    propose = jax.jit(partial(lever_model(VON_MISES, True).propose, params), compiler_options=QUICK)
+    particles = jnp.full(count, 2.0)
+    moved, weights = propose(particles, measurement, jax.random.key(0))
+    weights = np.exp(np.asarray(weights, float))
+    away = np.angle(np.exp(1j * (np.asarray(moved, float) - 2)))
+    assert 0.02 < np.mean(weights == 0) < 0.1
+    for value, exact in ((1 + 0 * away, 1.0), (np.cos(away), 0.24249961258080)):  # I1/I0 of a half
+        estimate = weights * value
+        assert abs(estimate.mean() - exact) < 4.5 * estimate.std() / np.sqrt(count)
+
+
 def test_interval_is_that_of_the_exact_posterior():
     """Quantiles across the cut at half a turn, from one run of many particles."""
     params = LeverParams(jnp.float32(5.0))
@@ -302,6 +320,31 @@ def test_rotations_have_exact_weights_too(iterations):
     assert error < 0.02 * many.mean()
     assert abs(many.mean() - few.mean()) < 4.5 * error
     assert few.sum() ** 2 / np.sum(few**2) > 0.9 * 20_000
+
+
+def test_gauss_newton_ends_at_the_most_probable_rotation(x64):
+    """Where the gradient of transition times likelihood vanishes: the tangent moves along the way."""
+    params = {"walk": jnp.array([0.5, 0.4, 0.6]), "seen": jnp.array(0.3)}
+    seen = quaternion.exp(jnp.array([0.9, -1.2, 0.5]))
+    measurement = Seen(Reading(seen, jnp.asarray(True)), jnp.asarray(1.0))
+    means = jax.vmap(quaternion.exp)(jnp.array([[0.0, 0.0, 0.0], [0.4, 0.2, -0.9]]))
+    rows = particle.differentiated(quaternion, turned_residual)
+
+    def best(means):
+        factor = _posterior(quaternion, params["walk"] ** -2, rows, 12, (params, means, measurement))
+        return _cholesky.solve(factor, factor[:, -1]).T
+
+    def log_density(mean, v):
+        x = quaternion.retract(mean, v)
+        return turned_log_likelihood(params, x, measurement) - jnp.sum((v / params["walk"]) ** 2) / 2
+
+    def slopes(means):
+        found = best(means)
+        return found, jax.vmap(jax.grad(log_density, 1))(means, found)
+
+    found, slope = jax.jit(slopes, compiler_options=QUICK)(means)
+    assert np.all(np.linalg.norm(found, axis=1) > 0.7)
+    np.testing.assert_allclose(slope, 0, atol=1e-7)
 
 
 def test_precision_may_be_a_matrix():

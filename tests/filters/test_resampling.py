@@ -92,6 +92,11 @@ def test_stratified_and_residual_vary_less_than_multinomial():
     value = np.linspace(-1, 1, 64)
     sums = [many(each, jnp.asarray(np.log(w), jnp.float32)) @ value for each in (stratified, residual, multinomial)]
     of_stratified, of_residual, of_multinomial = (x.var() for x in sums)  # each to 1 % of itself
+    ends = np.concatenate([[0], np.cumsum(w)])
+    strata = np.arange(65) / 64
+    overlap = np.minimum(ends[1:], strata[1:, None]) - np.maximum(ends[:-1], strata[:-1, None])
+    share = 64 * np.maximum(overlap, 0)
+    np.testing.assert_allclose(of_stratified, np.sum(share @ value**2 - (share @ value) ** 2), rtol=0.05)
     assert of_stratified < 0.9 * of_multinomial
     assert of_residual < 0.9 * of_multinomial
     exact = 64 * (np.sum(w * value**2) - np.sum(w * value) ** 2)

@@ -43,12 +43,14 @@ def factorize(equations: Array, floor: Array) -> Array:
 
     Args:
         equations: (d, d + 1, N), P and b as the last column.
-        floor: (d,) what a pivot is raised to where rounding has left less.
+        floor: (d,) what a pivot is raised to where rounding has left less; at least some eps of P's own diagonal, or
+            what is left beside it would be divided by nearly nothing.
 
     Returns:
         (d, d + 1, N): L', and y as the last column.
     """
     numbers = jnp.arange(equations.shape[0])
+    noise = 4 * jnp.finfo(equations.dtype).eps * equations[numbers, numbers]
 
     def column(done: Array, now: tuple[Array, Array, Array]) -> tuple[Array, None]:
         j, row, least = now
@@ -61,7 +63,7 @@ def factorize(equations: Array, floor: Array) -> Array:
         row = jnp.where((jnp.arange(row.shape[0]) >= j)[:, None], row, 0)
         return done.at[j].set(row * jax.lax.rsqrt(row[j])[None]), None
 
-    return jax.lax.scan(column, jnp.zeros_like(equations), (numbers, equations, floor))[0]
+    return jax.lax.scan(column, jnp.zeros_like(equations), (numbers, equations, jnp.maximum(noise, floor[:, None])))[0]
 
 
 def solve(factor: Array, right: Array) -> Array:

@@ -33,8 +33,9 @@ def mean_and_covariance(
         manifold: where the state lives, dimension d.
         particles: leaves (N, ...).
         log_weights: (N,) of any scale.
-        passes: how often the mean is moved, static. Angles and vectors need 2, the default there; each pass brings
-            rotations closer by the square of their spread in rad, 4 if None.
+        passes: how often the mean is moved, static. Angles and vectors need 2, the default there. Each pass brings
+            rotations closer by about a third of the square of their spread in rad; the default of 4 leaves 1e-6 rad
+            where they are spread by 0.4.
 
     Returns:
         An element of the manifold, and (d, d).
