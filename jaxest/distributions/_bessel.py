@@ -80,6 +80,11 @@ def ratio_and_complement(k: Array) -> tuple[Array, Array]:
     return ratio, jnp.where(small, (i0 - low / 2 * i1) / i0, complement) + negative
 
 
+def slope(k: Array) -> Array:
+    """Return the derivative of I1(k)/I0(k) (...), to some eps of itself also where it is 1e-16."""
+    return jax.jvp(lambda k: ratio_and_complement(k)[0], (k,), (jnp.ones_like(k),))[1]
+
+
 @jax.custom_jvp
 def log_i0e(k: Array) -> Array:
     """Return log(I0(k) e^-k).

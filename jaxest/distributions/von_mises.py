@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxest.distributions import _rejection
-from jaxest.distributions._bessel import log_i0e, ratio_and_complement
+from jaxest.distributions._bessel import log_i0e, ratio_and_complement, slope
 from jaxest.distributions._checks import common_dtype, fits, floating
 from jaxest.distributions._rejection import Draws
 from jaxest.distributions._von_mises_map import FastSampler, fast_sampler, from_bits, sample_fast
@@ -160,7 +160,7 @@ def _invert(r: Array, b: Array) -> Array:
         """Solve 1 / (1 - I1/I0) = 1 / b, which is almost linear in k."""
         ratio, complement = ratio_and_complement(k)
         missing = jnp.where(r_ < b_, r_ - ratio, complement - b_)
-        step = missing * complement / (b_ * _slope(k))
+        step = missing * complement / (b_ * slope(k))
         return jnp.maximum(k + step, k / 8)
 
     k = jax.lax.fori_loop(0, 5, newton, start)
@@ -168,18 +168,13 @@ def _invert(r: Array, b: Array) -> Array:
     return jnp.where(inside, k, edge.astype(k.dtype))
 
 
-def _slope(k: Array) -> Array:
-    """Return the derivative of I1/I0."""
-    return jax.jvp(lambda k: ratio_and_complement(k)[0], (k,), (jnp.ones_like(k),))[1]
-
-
 @_invert.defjvp
 def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
     """Differentiate the equation; r and b move against each other, so half their difference counts."""
     k = _invert(*primals)
     finite = jnp.isfinite(k)
-    slope = _slope(jnp.where(finite, k, 1.0))
-    return k, jnp.where(finite, (tangents[0] - tangents[1]) / (2 * slope), 0.0)
+    rise = slope(jnp.where(finite, k, 1.0))
+    return k, jnp.where(finite, (tangents[0] - tangents[1]) / (2 * rise), 0.0)
 
 
 def sample(key: Array, mean: ArrayLike, concentration: ArrayLike, shape: tuple[int, ...] | int | None = None) -> Array:

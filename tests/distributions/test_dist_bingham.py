@@ -163,8 +163,9 @@ def test_fit_of_a_sample(dtype):
     lam = np.array([0, -1e6, -1e4, -800])
     count = 20000
     truth = bingham.about(np.array([0.5, 0.5, -0.5, 0.5], dtype), lam.astype(dtype))
-    xs = bingham.sample(jax.random.key(0), truth, (count,))
-    found = bingham.fit(xs)
+    xs = light(lambda key: bingham.sample(key, truth, (count,)))(jax.random.key(0))
+    fit = light(bingham.fit)
+    found = fit(xs)
     assert found.status == OK
     assert found.params.lam.dtype == dtype
     order = np.argsort(-np.asarray(found.params.lam))
@@ -174,7 +175,7 @@ def test_fit_of_a_sample(dtype):
     assert (np.abs(got[1:] / expected[1:] - 1) < 4 * np.sqrt(2 / count)).all()  # lam_i is 1 / (2 E[x_i^2])
     across = np.abs(np.asarray(truth.directions[:, [0, 3, 2, 1]]).T @ np.asarray(found.params.directions)[:, order])
     assert np.abs(across - np.eye(4)).max() < 4 / np.sqrt(2 * 800 * count) * 5  # of neighbours less than 12 apart
-    weighted = bingham.fit(np.concatenate([xs, xs[:5] * 0 + 0.5]), np.concatenate([np.ones(count), np.zeros(5)]))
+    weighted = fit(np.concatenate([xs, xs[:5] * 0 + 0.5]), np.concatenate([np.ones(count), np.zeros(5)]))
     assert (
         np.abs(weighted.params.lam / np.where(found.params.lam == 0, 1, found.params.lam) - 1)[order[1:]].max() < 1e-3
     )

@@ -242,22 +242,25 @@ def test_fast_sampler_refuses(x64):
 def test_fit(dtype, k):
     count = 20000
     xs = von_mises.sample(jax.random.key(2), np.asarray(3.1, dtype), np.asarray(k, dtype), (count,))
-    found = von_mises.fit(xs)
+    fit = light(von_mises.fit)
+    found = fit(xs)
     exact = reference.bessel(k)
     assert found.status == OK
     assert found.mean.dtype == found.concentration.dtype == dtype
     deviation = 1 / np.sqrt(count * k * float(exact.ratio))
     assert abs(von_mises.residual(found.mean, 3.1)) < 4 * deviation + 4 * eps(dtype)
     assert abs(float(found.concentration) - k) < 4 / np.sqrt(count * float(exact.slope)) + (k * eps(dtype) * k**0.5)
-    doubled = von_mises.fit(np.concatenate([xs, np.zeros(1, dtype)]), np.append(np.full(count, 2, dtype), 0))
+    doubled = fit(np.append(xs, dtype.type(0)), np.append(np.full(count, 2, dtype), dtype.type(0)))
     assert float(doubled.concentration) == pytest.approx(float(found.concentration), rel=1e-3)
 
 
 def test_fit_says_what_is_wrong():
     xs = np.array([0.1, np.nan, 0.3], np.float32)
-    assert von_mises.fit(xs).status == NON_FINITE
-    assert von_mises.fit(xs[::2], np.zeros(2, np.float32)).status == NON_FINITE
-    same = von_mises.fit(np.full(4, 0.5, np.float32))
+    fit = light(von_mises.fit)
+    even = np.full(3, 1, np.float32)
+    assert fit(xs, even).status == NON_FINITE
+    assert fit(np.full(3, 0.5, np.float32), even * 0).status == NON_FINITE
+    same = fit(np.full(3, 0.5, np.float32), even)
     assert same.status == OK
     assert same.concentration > 1e12
 
