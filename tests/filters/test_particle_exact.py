@@ -22,6 +22,7 @@ from jaxest.manifolds import Euclidean, circle, quaternion
 from jaxest.types import OK, Reading
 
 QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
+SLOW = pytest.mark.slow
 RUNS, COUNT, GRID = 200, 256, 400
 
 
@@ -94,11 +95,11 @@ def line_start(key, count=COUNT):
     [
         (BOOTSTRAP, resampling.systematic),
         (BOOTSTRAP, resampling.stratified),
-        (BOOTSTRAP, resampling.multinomial),
+        pytest.param(BOOTSTRAP, resampling.multinomial, marks=SLOW),
         (BOOTSTRAP, resampling.residual),
         (BOOTSTRAP, resampling.adaptive(resampling.systematic, 0.5)),
         (GUIDED, resampling.systematic),
-        (GUIDED, resampling.adaptive(resampling.stratified, 0.7)),
+        pytest.param(GUIDED, resampling.adaptive(resampling.stratified, 0.7), marks=SLOW),
     ],
 )
 def test_linear_gaussian_model_is_the_kalman_filter(propose, resample):
@@ -215,7 +216,15 @@ def flat_start(key):
 
 
 @pytest.mark.parametrize("guided", [False, True], ids=["bootstrap", "guided"])
-@pytest.mark.parametrize(("noise", "walk"), [("mises", 5.0), ("mises", 0.7), ("wrapped", 0.4), ("wrapped", 2.0)])
+@pytest.mark.parametrize(
+    ("noise", "walk"),
+    [
+        ("mises", 5.0),
+        pytest.param("mises", 0.7, marks=SLOW),
+        pytest.param("wrapped", 0.4, marks=SLOW),
+        ("wrapped", 2.0),
+    ],
+)
 def test_one_angle_is_the_quadrature(noise, walk, guided):
     """Also where noise reaches round the circle: von Mises noise ends at half a turn, Gaussian noise goes on.
 
@@ -295,7 +304,7 @@ def turned_log_likelihood(params, x, measurement):
 TURN = particle.gaussian(lambda params, x, measurement: x, lambda params, measurement: params["walk"])
 
 
-@pytest.mark.parametrize("iterations", [1, 3])
+@pytest.mark.parametrize("iterations", [1, pytest.param(3, marks=SLOW)])
 def test_rotations_have_exact_weights_too(iterations):
     """The evidence of one step from the identity: guided particles against a million from the transition."""
     params = {"walk": jnp.array([0.5, 0.4, 0.6]), "seen": jnp.float32(0.15)}

@@ -87,9 +87,13 @@ def estimated_scores(model):
 @pytest.mark.parametrize(
     ("propose", "resample"),
     [
-        (particle.bootstrap(PLANE, NOISE, log_likelihood), resampling.systematic),
+        pytest.param(particle.bootstrap(PLANE, NOISE, log_likelihood), resampling.systematic, marks=pytest.mark.slow),
         (particle.bootstrap(PLANE, NOISE, log_likelihood), resampling.adaptive(resampling.stratified, 0.6)),
-        (particle.guided(PLANE, NOISE, log_likelihood, ROWS, iterations=1), resampling.systematic),
+        pytest.param(
+            particle.guided(PLANE, NOISE, log_likelihood, ROWS, iterations=1),
+            resampling.systematic,
+            marks=pytest.mark.slow,
+        ),
         (particle.guided(PLANE, NOISE, log_likelihood, ROWS, defensive=0.1), resampling.residual),
     ],
     ids=["bootstrap", "adaptive", "guided", "defensive"],

@@ -103,7 +103,7 @@ def test_stratified_and_residual_vary_less_than_multinomial():
     np.testing.assert_allclose(of_multinomial, exact, rtol=0.05)
 
 
-@pytest.mark.parametrize("size", [1, 3, 1000, 1_000_000])
+@pytest.mark.parametrize("size", [1, 3, 1_000_000])
 def test_as_many_go_on_as_were_asked_for(scheme, size):
     for spread in (0.0, 0.1, 2.0, 30.0):
         w = np.float32(spread * np.random.default_rng(size).normal(size=size))
