@@ -100,16 +100,45 @@ def place_frames(planned: Plan, pose: Pose, offsets: tuple[Array, Array]) -> tup
     Returns:
         Positions and quaternions by component, (n,).
     """
+    steps = planned.steps
+    if not planned.every:
+        pose, steps = Pose(*jax.tree.map(lambda x: x[None], tuple(pose))), (0,) * len(planned.steps)
+    moved = _by_joint(steps, planned.moved)
+    if not moved:
+        return _rows(pose, steps)
+    if 2 * len(moved) > len(steps):  # then all: a frame on its joint comes out the same, and nothing is put together
+        return _offset(_rows(pose, steps), offsets, planned.frames)
+    placed = _offset(_rows(pose, [steps[row] for row in moved]), offsets, [planned.frames[row] for row in moved])
+    both = jax.tree.map(lambda *parts: jnp.concatenate(parts), pose, Pose(*placed))
+    there = {row: pose.position[0].shape[0] + place for place, row in enumerate(moved)}
+    return _rows(both, [there.get(row, step) for row, step in enumerate(steps)])
 
-    def pick(component: Array, world: float) -> Array:
-        if not planned.every:
-            return jnp.broadcast_to(component, (len(planned.frames),))
-        return take(component, planned.steps, world)
 
-    position = tuple(pick(x, 0.0) for x in pose.position)
-    quaternion = tuple(pick(x, i) for x, i in zip(pose.quaternion, c.IDENTITY, strict=True))
-    if planned.moved:
-        rows = np.array(planned.frames)
-        position = c.add(position, c.rotate(quaternion, c.split(offsets[0][rows])))
-        quaternion = c.multiply(quaternion, c.split(offsets[1][rows]))
-    return position, quaternion
+def _rows(pose: Pose, rows: Sequence[int]) -> tuple[c.Vector, c.Quaternion]:
+    """Take rows of a pose's components; -1 is the world."""
+    position = tuple(take(x, rows) for x in pose.position)
+    return position, tuple(take(x, rows, i) for x, i in zip(pose.quaternion, c.IDENTITY, strict=True))
+
+
+def _offset(pose: tuple[c.Vector, c.Quaternion], offsets: tuple[Array, Array], frames: Sequence[int]) -> Any:
+    """Put frames, fixed to joints, where these are."""
+    position, quaternion = pose
+    rows = np.array(frames)
+    return (
+        c.add(position, c.rotate(quaternion, c.split(offsets[0][rows]))),
+        c.multiply(quaternion, c.split(offsets[1][rows])),
+    )
+
+
+def _by_joint(steps: Sequence[int], moved: Sequence[bool]) -> list[int]:
+    """Return the frames that are not their joints' own: first one of each joint, then a second of each, and so on.
+
+    In this order they are taken from few runs of consecutive joints.
+    """
+    seen: dict[int, int] = {}
+    order: list[tuple[int, int, int]] = []
+    for row, step in enumerate(steps):
+        if moved[row]:
+            order.append((seen.get(step, 0), step, row))
+            seen[step] = seen.get(step, 0) + 1
+    return [row for _, _, row in sorted(order)]

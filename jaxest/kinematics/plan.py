@@ -18,8 +18,8 @@ class Plan(NamedTuple):
     frames: tuple[int, ...]
     steps: tuple[int, ...]
     """The step whose joint carries each frame, -1 for the world."""
-    moved: bool
-    """Whether any of the frames is not its joint's frame itself."""
+    moved: tuple[bool, ...]
+    """Whether each frame is not its joint's frame itself."""
     every: bool
     """Whether the pose of every joint is needed, or of the last one only."""
 
@@ -51,7 +51,8 @@ def plan(robot: Robot, frames: List[int], folded: Folded) -> Plan:
     steps = tuple(step.get(carried.frame[f], -1) for f in frames)
     tip = len(order.joint) - 1
     serial = not order.branches and all(step == tip for step in steps)
-    return Plan(order, tuple(frames), steps, bool(_moved(folded)[list(frames)].any()), not serial)
+    moved = tuple(_moved(folded)[list(frames)].tolist())
+    return Plan(order, tuple(frames), steps, moved, not serial)
 
 
 def _moved(folded: Folded) -> np.ndarray:
