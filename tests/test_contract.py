@@ -15,11 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from kalman_models import build as kalman_body
-from onsite_models import position, rotation, window
+from onsite_models import pose, position, rotation, window
 from particle_models import GUIDED
 from particle_models import build as particle_arm
 
-from jaxest.filters import bingham_linear, complementary, kalman, resampling, rls, run
+from jaxest.filters import attitude, bingham_linear, complementary, kalman, resampling, rls, run
 from jaxest.io.checkpoint import load_state, save_state
 from jaxest.systems import orientation
 from jaxest.types import NON_FINITE, OK, Reading, System
@@ -40,10 +40,14 @@ ROWS = [
     Row("orientation_9", orientation.build),
     Row("orientation_projection", partial(orientation.build, None, SIX, update=complementary.projection)),
     Row("orientation_covariance", partial(orientation.build, covariance=True), {"shaking": 1.0}),
+    Row("attitude_ekf", partial(orientation.build, filter=attitude.ekf)),
+    Row("attitude_decoupled", partial(orientation.build, filter=attitude.decoupled)),
+    Row("attitude_madgwick", partial(orientation.build, filter=attitude.madgwick)),
     Row("kalman", kalman_body),
     Row("savitzky_golay", window),
     Row("bingham_linear", rotation),
     Row("bingham_linear_general", partial(rotation, bingham_linear.general)),
+    Row("onsite", pose),
     Row("rls", position),
     Row("rls_pseudo_inverse", partial(position, rls.pseudo_inverse)),
     Row("kalman_iterated", partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0)),

@@ -2,8 +2,8 @@
 
 Start with `run`: it drives every estimator over T measurements and keeps what `full`, `last` or `every(k)` ask for.
 An estimator is a file: `complementary` gives the orientation of one IMU, `complementary_covariance` how well it is
-known. Its parameters, state, measurement and `init` / `step` live there; batches are the caller's `vmap`. `kalman`
-makes a filter and a smoother of any model on a product manifold.
+known. Its parameters, state, measurement and `init` / `step` live there; batches are the caller's `vmap`. `attitude`
+holds more accurate filters of one IMU, and a smoother. `kalman` makes both of any model on a product manifold.
 
 `savitzky_golay` smooths and differentiates on real time stamps, `bingham_linear` finds the rotation between two gyros,
 `rls` solves for three unknowns as observations come. `particle` follows any noise and any likelihood with particles,
@@ -14,6 +14,7 @@ Not here: sensors and robots (a filter is handed functions), and complete estima
 """
 
 from jaxest.filters import (
+    attitude,
     bingham_linear,
     complementary,
     complementary_covariance,
@@ -29,6 +30,7 @@ __all__ = [
     "Every",
     "Last",
     "Sampled",
+    "attitude",
     "bingham_linear",
     "complementary",
     "complementary_covariance",

@@ -1,4 +1,4 @@
-"""Orientation of a single IMU by the passive complementary filter, and data to try it on."""
+"""Orientation of a single IMU, by whichever filter, and data to try it on."""
 
 import functools
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxest.filters import complementary, complementary_covariance
+from jaxest.filters import attitude, complementary, complementary_covariance
 from jaxest.filters.complementary import Imu, exponential
 from jaxest.filters.complementary_covariance import Noise
 from jaxest.manifolds import quaternion as quat
@@ -32,6 +32,7 @@ def build(
     robot: None = None,
     sensors: Sequence[str] = SENSORS,
     *,
+    filter: Any = complementary,
     update: Any = exponential,
     covariance: bool = False,
 ) -> System:
@@ -40,30 +41,38 @@ def build(
     Args:
         robot: not used, an IMU needs none; here because every system takes one.
         sensors: which there are, of `gyroscope`, `accelerometer`, `magnetometer`; the first two are needed.
-        update: how a step turns the estimate, `exponential` or `projection` of `jaxest.filters.complementary`.
-        covariance: whether states and infos carry a covariance (several times the work in a batch).
+        filter: a module with `Params`, `init` and `step`: `jaxest.filters.complementary` or one of
+            `jaxest.filters.attitude` (`ekf`, `decoupled`, `madgwick`).
+        update: how a step of `complementary` turns the estimate, its `exponential` or `projection`.
+        covariance: whether states and infos of `complementary` carry a covariance (several times the work in a batch);
+            those of `ekf` and `decoupled` always do, of `madgwick` never.
 
     Returns:
         The system, the same object for the same choices, so that `run` compiles its step once. Its measurement is
-        `complementary.Imu` (the magnetometer None without one); its parameters are `complementary.Params`, or
+        `complementary.Imu` (the magnetometer None without one); its parameters are the filter's `Params`, or
         `complementary_covariance.Params` with `covariance`.
 
     Raises:
         InputError: a sensor has no such name.
-        ValueError: the gyroscope or the accelerometer is missing.
+        ValueError: the gyroscope or the accelerometer is missing, or an option is not one of the filter's.
 
-    Source: Santaera 2015, Algorithm 1.
+    Source: Santaera 2015, Algorithm 1 (`complementary`).
     """
     for name in sensors:
         if name not in SENSORS:
             raise unknown_name("sensor", name, SENSORS)
     if not {"gyroscope", "accelerometer"} <= set(sensors):
         raise ValueError(f"sensors: got {tuple(sensors)}, expected at least 'gyroscope' and 'accelerometer'")
-    return _build("magnetometer" in sensors, update, covariance)
+    if filter is not complementary and (update is not exponential or (covariance and filter is attitude.madgwick)):
+        name = "covariance" if update is exponential else "update"
+        raise ValueError(f"{name}: {filter.__name__} has no such option")
+    return _build("magnetometer" in sensors, filter, update, covariance)
 
 
 @functools.cache
-def _build(magnetic: bool, update: Any, covariance: bool) -> System:
+def _build(magnetic: bool, filter: Any, update: Any, covariance: bool) -> System:
+    if filter is not complementary:
+        return System(filter.Params(), filter.init, filter.step, partial(simulate, magnetic=magnetic))
     step = complementary.step if update is exponential else partial(complementary.step, update=update)
     draw = partial(simulate, magnetic=magnetic)
     if not covariance:
@@ -111,9 +120,9 @@ def simulate(
     """
     if steps < 1:
         raise ValueError(f"steps: got {steps}, expected at least 1")
-    gains = params.filter if hasattr(params, "filter") else params
     chosen: Any = noise if noise is not None else getattr(params, "noise", Noise())
-    dtype = complementary.init(gains).quaternion.dtype
+    dtype = jnp.result_type(*jax.tree.leaves(params))
+    dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
     given: Any = Noise._make(jnp.asarray(x, dtype) for x in chosen)
     turns, walks, forces, fields, moves = jax.random.split(key, 5)
     dt, time = jnp.asarray(1 / rate_hz, dtype), jnp.asarray(colour, dtype)
