@@ -100,21 +100,18 @@ def place_frames(planned: Plan, pose: Pose, offsets: tuple[Array, Array]) -> tup
     Returns:
         Positions and quaternions by component, (n,).
     """
-    steps = planned.steps
-    if not planned.every:
-        pose, steps = Pose(*jax.tree.map(lambda x: x[None], tuple(pose))), (0,) * len(planned.steps)
-    moved = _by_joint(steps, planned.moved)
+    rows, moved = planned.rows, _by_joint(planned)
     if not moved:
-        return _rows(pose, steps)
-    if 2 * len(moved) > len(steps):  # then all: a frame on its joint comes out the same, and nothing is put together
-        return _offset(_rows(pose, steps), offsets, planned.frames)
-    placed = _offset(_rows(pose, [steps[row] for row in moved]), offsets, [planned.frames[row] for row in moved])
+        return _take(pose, rows)
+    if 2 * len(moved) > len(rows) or not planned.kept:  # then all: a frame on its joint comes out the same
+        return _offset(_take(pose, rows), offsets, planned.frames)
+    placed = _offset(_take(pose, [rows[i] for i in moved]), offsets, [planned.frames[i] for i in moved])
     both = jax.tree.map(lambda *parts: jnp.concatenate(parts), pose, Pose(*placed))
-    there = {row: pose.position[0].shape[0] + place for place, row in enumerate(moved)}
-    return _rows(both, [there.get(row, step) for row, step in enumerate(steps)])
+    there = {i: len(planned.kept) + place for place, i in enumerate(moved)}
+    return _take(both, [there.get(i, row) for i, row in enumerate(rows)])
 
 
-def _rows(pose: Pose, rows: Sequence[int]) -> tuple[c.Vector, c.Quaternion]:
+def _take(pose: Pose, rows: Sequence[int]) -> tuple[c.Vector, c.Quaternion]:
     """Take rows of a pose's components; -1 is the world."""
     position = tuple(take(x, rows) for x in pose.position)
     return position, tuple(take(x, rows, i) for x, i in zip(pose.quaternion, c.IDENTITY, strict=True))
@@ -130,15 +127,15 @@ def _offset(pose: tuple[c.Vector, c.Quaternion], offsets: tuple[Array, Array], f
     )
 
 
-def _by_joint(steps: Sequence[int], moved: Sequence[bool]) -> list[int]:
-    """Return the frames that are not their joints' own: first one of each joint, then a second of each, and so on.
+def _by_joint(planned: Plan) -> list[int]:
+    """Return which frames are not their joints' own: first one of each joint, then a second of each, and so on.
 
     In this order they are taken from few runs of consecutive joints.
     """
     seen: dict[int, int] = {}
     order: list[tuple[int, int, int]] = []
-    for row, step in enumerate(steps):
-        if moved[row]:
-            order.append((seen.get(step, 0), step, row))
-            seen[step] = seen.get(step, 0) + 1
-    return [row for _, _, row in sorted(order)]
+    for i, row in enumerate(planned.rows):
+        if planned.moved[i]:
+            order.append((seen.get(row, 0), row, i))
+            seen[row] = seen.get(row, 0) + 1
+    return [i for _, _, i in sorted(order)]

@@ -47,7 +47,7 @@ def jacobian(robot: Robot, q: ArrayLike, frame: int | str) -> Array:
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _jacobian(planned: Plan, nv: int, constants: Links, offsets: tuple[Array, Array], q: Array) -> Array:
-    if planned.steps[0] < 0:
+    if planned.rows[0] < 0:
         return jnp.zeros((6, nv), q.dtype)
     poses = joint_poses(planned, constants, q)
     point = place_frames(planned, poses, offsets)[0]

@@ -9,23 +9,34 @@ from jaxest.kinematics.fold import Folded, carriers
 from jaxest.kinematics.robot import Robot, is_concrete
 from jaxest.kinematics.sequence import Sequence, joint_sequence
 
+SEVERAL = 12
+"""Up to this many runs without branches are a scan each: quicker to run, as nothing is remembered at the branchings and
+only the poses that are asked for are stored, but every scan compiles for about 0.1 s."""
+
 
 class Plan(NamedTuple):
     """How to compute certain frames of a certain robot; static and hashable, an argument of jitted functions."""
 
     order: Sequence
     """The joints that move any of the frames, a step each."""
+    kept: tuple[int, ...]
+    """The steps whose poses are computed for good."""
     frames: tuple[int, ...]
-    steps: tuple[int, ...]
-    """The step whose joint carries each frame, -1 for the world."""
+    rows: tuple[int, ...]
+    """Where in `kept` the joint of each frame stands, -1 for the world."""
     moved: tuple[bool, ...]
     """Whether each frame is not its joint's frame itself."""
-    every: bool
-    """Whether the pose of every joint is needed, or of the last one only."""
 
     def whole(self) -> "Plan":
         """Return the same plan with the pose of every joint kept."""
-        return self._replace(every=True)
+        every = tuple(range(len(self.order.joint)))
+        return self._replace(kept=every, rows=tuple(row if row < 0 else self.kept[row] for row in self.rows))
+
+    @property
+    def runs(self) -> tuple[tuple[int, int], ...]:
+        """The steps (first, end) of each scan."""
+        runs = self.order.runs
+        return runs if len(runs) <= SEVERAL else ((0, len(self.order.joint)),)
 
 
 def plan(robot: Robot, frames: List[int], folded: Folded) -> Plan:
@@ -49,10 +60,14 @@ def plan(robot: Robot, frames: List[int], folded: Folded) -> Plan:
     order = joint_sequence(robot.topology, tuple(sorted(joints)))
     step = {joint: i for i, joint in enumerate(order.joint)}
     steps = tuple(step.get(carried.frame[f], -1) for f in frames)
-    tip = len(order.joint) - 1
-    serial = not order.branches and all(step == tip for step in steps)
     moved = tuple(_moved(folded)[list(frames)].tolist())
-    return Plan(order, tuple(frames), steps, moved, not serial)
+    whole = Plan(order, tuple(range(len(order.joint))), tuple(frames), steps, moved)
+    kept: list[int] = []
+    for first, end in whole.runs:
+        needed = {s for s in steps if first <= s < end}
+        kept += [end - 1] * len(needed) if needed <= {end - 1} else range(first, end)
+    place = {s: row for row, s in enumerate(kept)}
+    return whole._replace(kept=tuple(kept), rows=tuple(place.get(s, -1) for s in steps))
 
 
 def _moved(folded: Folded) -> np.ndarray:

@@ -40,7 +40,7 @@ def joint_poses(planned: Plan, constants: Links, q: Array) -> Pose:
         q: (nq,).
 
     Returns:
-        The pose of the last joint, components (), or of every joint, components (n,).
+        The poses that the plan keeps, components (k,).
     """
     return scan_poses(planned, constants, q)
 
@@ -56,6 +56,8 @@ def _joint_poses_jvp(planned: Plan, primals: tuple[Links, Array], tangents: Any)
     constants_dot, q_dot = tangents
     order = planned.order
     whole = joint_poses(planned.whole(), constants, q)
+    if not order.joint:
+        return whole, whole
     zero = jnp.zeros((len(order.joint),), q.dtype)
     rotation, translation = (zero, zero, zero), (zero, zero, zero)
     if not isinstance(q_dot, SymbolicZero):
@@ -68,7 +70,7 @@ def _joint_poses_jvp(planned: Plan, primals: tuple[Links, Array], tangents: Any)
         turned, shifted = _constant_twists(order, whole, constants, q, Links(*dots))
         rotation, translation = c.add(rotation, turned), c.add(translation, shifted)
     twists = rotation, c.add(translation, c.cross(whole.position, rotation))
-    pose = whole if planned.every else jax.tree.map(lambda x: x[-1], whole)
+    pose = jax.tree.map(lambda x: take(x, planned.kept), whole)
     return pose, _moved(pose, *_running_sum(planned, twists))
 
 
@@ -82,15 +84,17 @@ def _moved(pose: Pose, rotation: c.Vector, translation: c.Vector) -> Pose:
 
 
 def _running_sum(planned: Plan, twists: Twist) -> Twist:
-    """Sum twists along the tree; every partial sum only where it is needed."""
-    if not planned.every:
-        return jax.tree.map(lambda x: x.sum(0), twists)
+    """Sum twists along the tree, (k,) for the poses that are kept."""
+    order = planned.order
+    if planned.kept == (len(order.joint) - 1,) and not order.branches:
+        return jax.tree.map(lambda x: x.sum(0, keepdims=True), twists)
 
     def add(total: Twist, now: Twist) -> tuple[Twist, Twist]:
         total = jax.tree.map(jnp.add, total, now)
         return total, total
 
-    return outward(planned.order, add, jax.tree.map(lambda x: jnp.zeros((), x.dtype), twists), twists)
+    sums = outward(order, add, jax.tree.map(lambda x: jnp.zeros((), x.dtype), twists), twists)
+    return jax.tree.map(lambda x: take(x, planned.kept), sums)
 
 
 def _coordinate_twists(order: Sequence, pose: Pose, constants: Links, q: Array, q_dot: Array) -> Twist:

@@ -10,6 +10,7 @@ a quarter of the time for a humanoid of 27 coordinates in batches of 1024.
 """
 
 import functools
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -61,6 +62,13 @@ class Sequence(NamedTuple):
         if self.whole:
             return np.ones(len(self.joint), bool)
         return np.array([p == NV[k] - 1 for p, k in zip(self.place, self.kind, strict=True)], bool)
+
+    @property
+    def runs(self) -> tuple[tuple[int, int], ...]:
+        """The steps cut into runs (first, end) without branches: each starts from the world or the end of another."""
+        cuts = {0} | {i for i, parent in enumerate(self.parent) if parent != i - 1}
+        cuts |= {parent + 1 for i, parent in enumerate(self.parent) if parent != i - 1}
+        return tuple(itertools.pairwise(sorted(cuts | {len(self.joint)})))
 
     @property
     def branches(self) -> bool:
@@ -177,11 +185,6 @@ def outward(order: Sequence, step: Callable[[Any, Any], tuple[Any, Any]], world:
     Returns:
         The outputs, (n, ...).
     """
-    return walk(order, step, world, steps)[1]
-
-
-def walk(order: Sequence, step: Callable[[Any, Any], tuple[Any, Any]], world: Any, steps: Any) -> tuple[Any, Any]:
-    """Go outwards as `outward` does, and return the state after the last step as well as the outputs."""
 
     def body(carry: Any, now: Any) -> Any:
         state, kept = carry
@@ -194,8 +197,7 @@ def walk(order: Sequence, step: Callable[[Any, Any], tuple[Any, Any]], world: An
         kept = tuple(_choose(keep, state, register) for keep, register in zip(flags.keep, kept, strict=True))
         return (state, kept), out
 
-    (last, _), outputs = jax.lax.scan(body, (world, (world,) * order.registers), (_flags(order), steps))
-    return last, outputs
+    return jax.lax.scan(body, (world, (world,) * order.registers), (_flags(order), steps))[1]
 
 
 def inward(order: Sequence, step: Callable[[Any, Any], tuple[Any, Any]], nothing: Any, steps: Any) -> Any:

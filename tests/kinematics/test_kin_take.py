@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxest import kinematics
 from jaxest.kinematics.take import take
 
 ROWS = [
@@ -36,3 +37,18 @@ def test_gradient_counts_how_often_a_row_was_taken(rows):
 
 def test_nothing_can_be_taken_from_nothing_but_what_is_missing():
     np.testing.assert_array_equal(take(np.zeros((0, 2), np.float32), [-1], 3.0), [[3.0, 3.0]])
+
+
+def test_frames_that_nothing_moves_stand_where_they_are():
+    robot = kinematics.load(
+        """<mujoco><worldbody>
+        <body name="base" pos="1 2 3"><site name="top" pos="0 0 1"/>
+          <body name="arm"><joint axis="0 0 1"/><geom size=".1"/></body></body>
+        </worldbody></mujoco>"""
+    )
+    q = np.array([0.3], np.float32)
+    for frames in (["base", "site:top"], ["base"], ["arm", "site:top"]):
+        poses = kinematics.forward(robot, q, frames)
+        expected = [[1, 2, 4] if name == "site:top" else [1, 2, 3] for name in frames]
+        np.testing.assert_array_equal(poses.position, np.array(expected, np.float32))
+    np.testing.assert_array_equal(jax.jacfwd(lambda q: kinematics.forward(robot, q, ["base"]).position)(q), 0)
