@@ -9,6 +9,7 @@ import numpy as np
 from jaxest.filters import bingham_linear, rls
 from jaxest.filters import savitzky_golay as sg
 from jaxest.manifolds import quaternion as quat
+from jaxest.systems import onsite
 from jaxest.types import Reading, System
 
 
@@ -62,3 +63,13 @@ def position(start=rls.patient):
     params = rls.Params(forgetting=0.98, prior=2.0, floor=0.5)
     init = partial(rls.init, lag=4)
     return System(params, init, partial(rls.step, block=1, start=start), simulate)
+
+
+def pose():
+    """The live system with a short window, on a motion quick enough to tell something in twelve steps."""
+    system = onsite.build(half_width=2, degree=2, lag=4)
+    params = system.default_params._replace(
+        gyroscope_noise=0.1, gate=1.0, forgetting_rotation=0.98, forgetting_position=0.97, bias_a=np.full(3, 0.01)
+    )
+    options = {"rate_hz": 8.0, "speed": 1.0, "length": 1.0, "shaking": 0.1, "gyroscope": 0.03, "accelerometer": 0.1}
+    return system._replace(default_params=params, simulate=partial(system.simulate, **options))

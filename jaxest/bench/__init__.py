@@ -22,6 +22,7 @@ CASES = {
     "inverse_kinematics": "jaxest.bench.inverse_kinematics",
     "kinematics": "jaxest.bench.kinematics",
     "logs": "jaxest.bench.logs",
+    "onsite": "jaxest.bench.onsite",
     "orientation": "jaxest.bench.orientation",
 }
 """Name of a case, and the module that holds it."""

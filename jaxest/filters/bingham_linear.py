@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxest.filters._small import eigen4, inverse3, largest, outer, product, sandwich
+from jaxest.filters._small import eigen4, inverse3, largest, outer, product, sandwich, written_out
 from jaxest.manifolds import quaternion as quat
 from jaxest.manifolds.base import as_array
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
@@ -287,8 +287,8 @@ def _spread(precision: Array, vectors: Array, q: Array, margin: Array) -> Array:
     zero = jnp.zeros_like(w)
     # Rows of the vector part of conj(q) v.
     back = jnp.stack([-x, w, z, -y, -y, -z, w, x, -z, y, -x, w]).reshape(3, 4) + zero
-    axes = product(back, vectors)
-    return product(axes * variance[None, :], axes.T)
+    axes = written_out(back, vectors)
+    return written_out(axes * variance[None, :], axes.T)
 
 
 def _rest(params: Params, state: State, second: Array, found: Estimate) -> Estimate:

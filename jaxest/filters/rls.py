@@ -127,6 +127,11 @@ def patient(noise: Array, full: Array) -> tuple[Array, Array]:
     return jnp.where(full, inverse3(noise), jnp.eye(3, dtype=noise.dtype)), ~full
 
 
+def unweighted(noise: Array, full: Array) -> tuple[Array, Array]:
+    """Weigh all alike for ever; the covariance is still that of the residuals. Arguments as for `patient`."""
+    return jnp.eye(3, dtype=noise.dtype), jnp.ones_like(full)
+
+
 def pseudo_inverse(noise: Array, full: Array) -> tuple[Array, Array]:
     """Weigh by the pseudo-inverse from the first residual on, as the paper does; arguments as for `patient`."""
     wide = jnp.zeros((4, 4), noise.dtype).at[:3, :3].set(noise)
@@ -154,7 +159,7 @@ def step(
         key: not used.
         block: static, valid steps in a block; several times the correlation of the residuals, such as a filter's
             window.
-        start: static, how residuals become a weight: `patient` or `pseudo_inverse`.
+        start: static, how residuals become a weight: `patient`, `pseudo_inverse` or `unweighted`.
 
     Returns:
         The next state and the estimate.
@@ -306,5 +311,6 @@ __all__ = [
     "pseudo_inverse",
     "square_root_step",
     "step",
+    "unweighted",
     "usable",
 ]

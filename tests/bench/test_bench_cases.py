@@ -1,6 +1,10 @@
+import jax
+import numpy as np
 import pytest
 
 from jaxest import bench
+from jaxest.bench.onsite_loop import loop
+from jaxest.systems import onsite
 from jaxest.types import InputError
 
 
@@ -45,3 +49,19 @@ def test_logs(peers):
     assert (read.ratio is not None) == peers
     assert rate.value * read.value == pytest.approx(1e6)
     assert all(row.value > 0 for row in memory)
+
+
+def test_onsite():
+    rows = list(bench.rows("onsite", small=True))
+    assert [row.metric for row in rows] == ["live step", "compile", "batched step", "compile"]
+    assert all(row.value > 0 for row in rows)
+    assert all(row.ratio > 0 for row in rows if row.metric != "compile")
+
+
+def test_the_loop_of_the_onsite_benchmark_finds_the_rod():
+    """A peer that computes something else would be no peer: its answer is right too."""
+    system = onsite.build()
+    params = jax.tree.map(np.float32, system.default_params)
+    measurements, truth = system.simulate(params, key=jax.random.key(3), steps=1500)
+    place, _ = loop(measurements)
+    assert np.linalg.norm(place - truth.position) < 3e-3

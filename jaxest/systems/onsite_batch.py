@@ -1,0 +1,266 @@
+"""Where one IMU is on a rigid link, seen from another: from a whole recording at once.
+
+All windows are solved together by Gauss-Newton: position, rotation, both gyros' biases and the difference of the
+accelerometers' biases, so that an early error of one does not stay in another. The squares of the rates tell the gyros'
+own biases, not only their difference. The covariance is that of white noise of the residuals' size, enlarged by what
+the scores of blocks of windows, each longer than the windows' overlap, scatter more than that. The window is the one
+of several whose variance without that factor is smallest.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxest.filters._small import outer
+from jaxest.manifolds import quaternion as quat
+from jaxest.systems import _onsite_window as win
+from jaxest.systems.onsite_simulation import Pair
+from jaxest.types import Array, ArrayLike, InputError
+
+ITERATIONS = 8
+SIZE = 15  # unknowns: position, turn, bias of gyro A, difference of gyro biases, difference of accelerometer biases
+
+
+class Prior(NamedTuple):
+    """What is known of sensors that have not been calibrated."""
+
+    gyroscope_bias: ArrayLike = 0.3
+    """() rad/s, standard deviation of either gyro's bias about each axis; above 0."""
+    accelerometer_bias: ArrayLike = 0.3
+    """() m/s2, standard deviation of either accelerometer's bias along each axis; above 0."""
+
+
+class Estimate(NamedTuple):
+    """What a recording says."""
+
+    position: Array
+    """(3,) m, of P in A."""
+    quaternion: Array
+    """(4,) wxyz, P to A."""
+    covariance: Array
+    """(6, 6) of rotation vector (in P, on the right) and position: rad, m."""
+    bias_a: Array
+    """(3,) rad/s, of gyro A."""
+    bias_p: Array
+    """(3,) rad/s, of gyro P, in P."""
+    accelerometer_bias: Array
+    """(3,) m/s2, of accelerometer P, in A, less that of A."""
+    force_residual: Array
+    """() m/s2, standard deviation of the difference of specific forces, as of single samples."""
+    rate_residual: Array
+    """() rad/s, likewise of the rates."""
+    formal: Array
+    """() m^2, trace of the position's covariance if the residuals were white; what the window is chosen by."""
+    windows: Array
+    """() int32, how many windows were used."""
+
+
+class Choice(NamedTuple):
+    """The best window's estimate, and all of them."""
+
+    estimate: Estimate
+    which: Array
+    """() int32, which of the half widths."""
+    all: Estimate
+    """leaves (K, ...), one row per half width."""
+
+
+class _Unknowns(NamedTuple):
+    position: Array
+    quaternion: Array
+    bias: Array
+    difference: Array
+    offset: Array
+
+
+HALF_WIDTHS = (5, 7, 10, 14)
+"""N to try; below 11 samples the trapezoidal rule of the averages is coarse."""
+
+
+def choose(
+    measurements: Pair, prior: Prior | None = None, *, half_widths: Sequence[int] = HALF_WIDTHS, degree: int = 3
+) -> Choice:
+    """Solve with several windows and take the one that the data say is best.
+
+    Args:
+        measurements: leading axis T, both IMUs at the same times; `savitzky_golay.smooth` brings one to the other's.
+        prior: of the biases.
+        half_widths: N to try, static; those longer than the recording allows are left out.
+        degree: M, static.
+
+    Returns:
+        The estimate with the smallest formal variance of the position, which one it is, and all of them.
+
+    Raises:
+        InputError: there are fewer samples than the shortest window has.
+    """
+    count = np.shape(measurements.dt)[0]
+    fitting = [n for n in half_widths if 4 * (2 * n + 1) <= count and 2 * n >= degree]
+    if not fitting:
+        least = 4 * (2 * min(half_widths) + 1)
+        raise InputError(f"measurements: got {count} samples, expected at least {least}, four windows")
+    found = [solve(measurements, prior, half_width=n, degree=degree) for n in fitting]
+    every = jax.tree.map(lambda *x: jnp.stack(x), *found)
+    best = jnp.argmin(jnp.where(jnp.isfinite(every.formal), every.formal, jnp.inf))
+    which = jnp.asarray([half_widths.index(n) for n in fitting], jnp.int32)[best]
+    return Choice(jax.tree.map(lambda x: x[best], every), which, every)
+
+
+@partial(jax.jit, static_argnames=("half_width", "degree"))
+def solve(measurements: Pair, prior: Prior | None = None, *, half_width: int = 7, degree: int = 3) -> Estimate:
+    """Solve with one window; arguments as for `choose`, `half_width` N static.
+
+    A step counts where both sensors of both IMUs are there and finite.
+    """
+    windows = _windows(measurements, half_width, degree)
+    dtype = windows.gain.dtype
+    settings = Prior() if prior is None else prior
+    gyro, acc = (jnp.asarray(x, dtype) for x in settings)
+    ready = windows.ready.astype(dtype)
+    state, spread = _start(windows, ready)
+    weights = (1 / (jnp.trace(spread) / 3), jnp.asarray(1.0, dtype))
+
+    def body(_: Any, carry: Any) -> Any:
+        state, spread, weights = carry
+        h, g, *_ = _normal(windows, ready, state, spread, weights, gyro, acc)
+        state = _moved(state, jnp.linalg.solve(h, -g))
+        spread, force = _noise(windows, ready, state, spread)
+        return state, spread, (3 / jnp.trace(spread), 1 / force)
+
+    state, spread, weights = jax.lax.fori_loop(0, ITERATIONS, body, (state, spread, weights))
+    h, _, scores, prior_precision = _normal(windows, ready, state, spread, weights, gyro, acc)
+    return _read(state, h, scores, prior_precision, spread, weights, ready, 4 * (2 * half_width + 1))
+
+
+def _windows(measurements: Pair, half_width: int, degree: int) -> win.Window:
+    """Averages of every window, (T - 2 N, ...)."""
+    dt = jnp.asarray(measurements.dt)
+    sides, there = [], jnp.ones(dt.shape, bool)
+    for side in "ap":
+        readings = [getattr(measurements, f"{kind}_{side}") for kind in ("gyroscope", "accelerometer")]
+        value = jnp.concatenate([jnp.asarray(x.value) for x in readings], axis=1)
+        fine = jnp.all(jnp.isfinite(value), axis=1)
+        there = there & fine & jnp.asarray(readings[0].valid) & jnp.asarray(readings[1].valid)
+        sides.append(jnp.where(fine[:, None], value, 0))
+    dt = dt.astype(sides[0].dtype)
+    width = 2 * half_width + 1
+    rows = jnp.arange(len(dt) - width + 1)[:, None] + jnp.arange(width)[None, :]
+    # A missing sample holds the one before it, within the window.
+    held = jax.lax.cummax(jnp.where(there, jnp.arange(len(dt)), -1))
+
+    def one(rows: Array) -> win.Window:
+        time = jnp.cumsum(dt[rows].at[0].set(0))
+        time = time - time[half_width]
+        kept = jnp.maximum(held[rows], rows[0])
+        valid = there[rows]
+        at = time[kept - rows[0]]
+        a, p = (
+            win.means(at, side[kept], valid, jnp.zeros((), dt.dtype), degree=degree, plain=False) for side in sides
+        )  # fmt: skip
+        return win.combine(a, p, degree)
+
+    return jax.vmap(one)(rows)
+
+
+def _start(windows: win.Window, ready: Array) -> tuple[_Unknowns, Array]:
+    """Rotation by the q-method, position by least squares, and the noise of the rates' difference."""
+    count = jnp.maximum(jnp.sum(ready), 1)
+    a, p = (jnp.where(ready[:, None] > 0, side.rate, 0) for side in (windows.a, windows.p))
+    a0, p0 = jnp.sum(a, axis=0) / count, jnp.sum(p, axis=0) / count
+    left, right = ((x - m[None]) * ready[:, None] for x, m in ((a, a0), (p, p0)))
+    u, _, vt = jnp.linalg.svd(left.T @ right)
+    sign = jnp.sign(jnp.linalg.det(u) * jnp.linalg.det(vt))
+    rotation = (u * jnp.stack([jnp.ones_like(sign), jnp.ones_like(sign), sign])[None, :]) @ vt
+    q = quat.from_matrix(rotation)
+    difference = a0 - rotation @ p0
+    zero = jnp.zeros(3, a.dtype)
+    state = _Unknowns(zero, q, difference / 2, difference, zero)
+    spread, _ = _noise(windows, ready, state, jnp.zeros((3, 3), a.dtype))
+    return state, spread
+
+
+def _noise(windows: win.Window, ready: Array, state: _Unknowns, spread: Array) -> tuple[Array, Array]:
+    """Covariance of the rates' difference and variance of the forces', as of single samples."""
+
+    def one(window: win.Window, there: Array) -> tuple[Array, Array]:
+        rate, force = _residual(window, state, spread)
+        return there * outer(rate, rate), there * jnp.sum(force * force) / 3
+
+    rate, force = (jnp.sum(x, axis=0) for x in jax.vmap(one)(windows, ready))
+    total = jnp.maximum(jnp.sum(ready * windows.gain), jnp.finfo(spread.dtype).tiny)
+    floor = jnp.finfo(spread.dtype).eps
+    return rate / total + floor * jnp.eye(3, dtype=spread.dtype), force / total + floor
+
+
+def _residual(window: win.Window, state: _Unknowns, spread: Array) -> tuple[Array, Array]:
+    r = quat.to_matrix(state.quaternion)
+    bias_p = r.T @ (state.bias - state.difference)
+    o = win.regressor(window, r, state.bias, bias_p, spread)
+    rate = window.a.rate - r @ window.p.rate - state.difference
+    return rate, r @ window.p.force - window.a.force - o @ state.position - state.offset
+
+
+def _moved(state: _Unknowns, d: Array) -> _Unknowns:
+    return _Unknowns(
+        state.position + d[:3], quat.retract(state.quaternion, d[3:6]), state.bias + d[6:9],
+        state.difference + d[9:12], state.offset + d[12:],
+    )  # fmt: skip
+
+
+def _normal(
+    windows: win.Window, ready: Array, state: _Unknowns, spread: Array, weights: Any, gyro: Array, acc: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Hessian, gradient, score of every window, and the prior's precision."""
+    dtype = ready.dtype
+    scale = jnp.concatenate([jnp.broadcast_to(weights[0], 3), jnp.broadcast_to(weights[1], 3)])
+
+    def both(window: win.Window, d: Array) -> Array:
+        return jnp.concatenate(_residual(window, _moved(state, d), spread))
+
+    def one(window: win.Window, there: Array) -> tuple[Array, Array]:
+        zero = jnp.zeros(SIZE, dtype)
+        e, slope = both(window, zero), jax.jacfwd(partial(both, window))(zero)
+        # The derivatives' noise adds to the regressor's square on average, and to nothing else.
+        noisy = weights[1] * win.turning_noise(spread * window.steep / 4)
+        weighted = scale[:, None] * slope
+        h = slope.T @ weighted - jnp.zeros((SIZE, SIZE), dtype).at[:3, :3].set(noisy)
+        score = weighted.T @ e - zero.at[:3].set(noisy @ state.position)
+        return there * h, there * score
+
+    h, score = jax.vmap(one)(windows, ready)
+    # b_A and b_P = R'(b_A - c) each have the gyros' prior.
+    eye, none = jnp.eye(3, dtype=dtype), jnp.zeros((3, 3), dtype)
+    gyros = jnp.block([[2 * eye, -eye], [-eye, eye]]) / gyro**2
+    precision = jnp.zeros((SIZE, SIZE), dtype).at[6:12, 6:12].set(gyros)
+    precision = precision.at[12:, 12:].set(eye / (2 * acc**2) + none)
+    at = jnp.concatenate([jnp.zeros(6, dtype), state.bias, state.difference, state.offset])
+    return jnp.sum(h, axis=0) + precision, jnp.sum(score, axis=0) + precision @ at, score, precision
+
+
+def _read(
+    state: _Unknowns, h: Array, scores: Array, precision: Array, spread: Array, weights: Any, ready: Array, block: int
+) -> Estimate:
+    inverse = jnp.linalg.inv(h)
+    whole = len(scores) // block * block
+    sums = jnp.sum(scores[:whole].reshape(-1, block, SIZE), axis=1)
+    count = max(len(sums), 1)
+    meat = sums.T @ sums * (len(scores) / max(whole, 1) * count / max(count - 3, 1)) + precision
+    scattered = inverse @ meat @ inverse.T
+    pose = slice(0, 6)
+    # Fifteen variances from some dozens of blocks are too uncertain to be used one by one; their mean ratio is not.
+    ratio = jnp.trace(jnp.linalg.solve(inverse[pose, pose], scattered[pose, pose])) / 6
+    covariance = inverse * jnp.maximum(ratio, 1)
+    order = jnp.asarray([3, 4, 5, 0, 1, 2])
+    r = quat.to_matrix(state.quaternion)
+    return Estimate(
+        state.position, state.quaternion, covariance[order][:, order], state.bias,
+        r.T @ (state.bias - state.difference), state.offset, jnp.sqrt(1 / weights[1]), jnp.sqrt(1 / weights[0]),
+        jnp.trace(inverse[:3, :3]), jnp.sum(ready > 0).astype(jnp.int32),
+    )  # fmt: skip
+
+
+__all__ = ["HALF_WIDTHS", "Choice", "Estimate", "Prior", "choose", "solve"]
