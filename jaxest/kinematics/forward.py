@@ -103,7 +103,7 @@ def place_frames(planned: Plan, pose: Pose, offsets: tuple[Array, Array]) -> tup
     rows, moved = planned.rows, _by_joint(planned)
     if not moved:
         return _take(pose, rows)
-    if 2 * len(moved) > len(rows) or not planned.kept:  # then all: a frame on its joint comes out the same
+    if 5 * len(moved) > 2 * len(rows) or not planned.kept:  # then all: a frame on its joint comes out the same
         return _offset(_take(pose, rows), offsets, planned.frames)
     placed = _offset(_take(pose, [rows[i] for i in moved]), offsets, [planned.frames[i] for i in moved])
     both = jax.tree.map(lambda *parts: jnp.concatenate(parts), pose, Pose(*placed))
