@@ -1,12 +1,8 @@
 """Batched dynamics beside MuJoCo, Pinocchio and MJX."""
 
-import contextlib
 import importlib
-import io
-import tempfile
 from collections.abc import Callable, Iterable, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,22 +10,10 @@ import numpy as np
 
 from jaxest import kinematics, models
 from jaxest.bench.harness import Candidate, Progress, Timing, candidate, compare, compile_row, find_peer, race
+from jaxest.bench.robots import Subject, subjects
+from jaxest.bench.robots import subject as one
+from jaxest.bench.rollouts import rollout_rows
 from jaxest.io.report import Row
-from jaxest.kinematics.load import compile_model
-
-
-class Subject(NamedTuple):
-    """A robot to be timed, and a batch of states."""
-
-    name: str
-    robot: kinematics.Robot
-    model: Any
-    """compiled by MuJoCo"""
-    pinocchio: Any
-    """Pinocchio's model, or None"""
-    q: np.ndarray
-    v: np.ndarray
-    tau: np.ndarray
 
 
 def rows(*, peers: bool, progress: Progress, small: bool = False, robots: Sequence[str] = ()) -> Iterable[Row]:
@@ -45,44 +29,19 @@ def rows(*, peers: bool, progress: Progress, small: bool = False, robots: Sequen
         robots: further robots, as files.
 
     Yields:
-        Times per state of the dynamics and their gradient, and the times to compile.
+        Times per state of the dynamics and their gradient, times to compile, and simulated steps of the arm of 7.
     """
     batch = 16 if small else 1024
-    sources: list[tuple[str, str | Path]] = [(f"chain of {n}", models.chain(n)) for n in ((7,) if small else (7, 20))]
-    if not small:
-        sources += [(name, models.path(name)) for name in models.names()]
-    sources += [(Path(file).name, file) for file in robots]
     with jax.enable_x64(True):
-        for name, source in sources:
-            progress(name)
-            yield from _robot_rows(_subject(name, source, batch, peers), peers, 2 if small else 15)
+        for subject in subjects((7,) if small else (7, 20), not small, robots, batch, peers):
+            progress(subject.name)
+            yield from _robot_rows(subject, peers, 2 if small else 15)
+        arm = one("chain of 7", models.chain(7), batch, peers)
         if peers and not small:
             progress("mjx.forward")
-            yield from _mjx_rows(_subject("chain of 7", models.chain(7), batch, peers))
-
-
-def _subject(name: str, source: str | Path, batch: int, peers: bool) -> Subject:
-    robot, model = kinematics.load(source), compile_model(source)
-    rng = np.random.default_rng(0)
-    q = rng.uniform(-2, 2, (batch, robot.nq))
-    v, tau = rng.uniform(-2, 2, (2, batch, robot.nv))
-    return Subject(name, robot, model, pinocchio_model(source, robot) if peers else None, q, v, tau)
-
-
-def pinocchio_model(source: str | Path, robot: kinematics.Robot) -> Any:
-    """Read a robot with Pinocchio; None where it is absent or reads another robot from the file."""
-    pinocchio = find_peer("pinocchio")
-    if pinocchio is None:
-        return None
-    with contextlib.suppress(Exception), contextlib.redirect_stderr(io.StringIO()), tempfile.TemporaryDirectory() as at:
-        if str(source).lstrip().startswith("<"):
-            file = Path(at) / "robot.xml"
-            file.write_text(str(source))
-            source = file
-        urdf = str(source).endswith(".urdf")
-        model = (pinocchio.buildModelFromUrdf if urdf else pinocchio.buildModelFromMJCF)(str(source))
-        return model if (model.nq, model.nv) == (robot.nq, robot.nv) else None
-    return None
+            yield from _mjx_rows(arm)
+        progress("rollouts")
+        yield from rollout_rows(arm, 3 if small else 100, peers, small)
 
 
 def _robot_rows(subject: Subject, peers: bool, repeats: int) -> Iterable[Row]:

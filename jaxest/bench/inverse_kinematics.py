@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest import kinematics, models
-from jaxest.bench.dynamics import pinocchio_model
 from jaxest.bench.harness import Candidate, Progress, candidate, compare, compile_row, find_peer, race
+from jaxest.bench.robots import pinocchio_model
 from jaxest.io.report import Row
 
 TOLERANCE = 1e-6

@@ -1,12 +1,8 @@
 """Batched forward kinematics and its gradient beside MuJoCo, Pinocchio and MJX."""
 
-import contextlib
-import io
-import tempfile
 from collections.abc import Iterable, Sequence
 from functools import partial
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,22 +10,9 @@ import numpy as np
 
 from jaxest import kinematics, models
 from jaxest.bench.harness import Candidate, Progress, Timing, candidate, compare, compile_row, find_peer, race
+from jaxest.bench.robots import Subject, subjects
 from jaxest.io.report import Row
 from jaxest.kinematics.fold import carriers
-from jaxest.kinematics.load import compile_model
-
-
-class Subject(NamedTuple):
-    """A robot to be timed."""
-
-    name: str
-    robot: kinematics.Robot
-    model: Any
-    """compiled by MuJoCo"""
-    pinocchio: Any
-    """Pinocchio's model, or None"""
-    q: np.ndarray
-    """(batch, nq) float64"""
 
 
 def rows(*, peers: bool, progress: Progress, small: bool = False, robots: Sequence[str] = ()) -> Iterable[Row]:
@@ -48,41 +31,12 @@ def rows(*, peers: bool, progress: Progress, small: bool = False, robots: Sequen
         Times per configuration for all frames, for two, for one and its gradient, and the times to compile.
     """
     batch = 16 if small else 2048
-    sources: list[tuple[str, str | Path]] = [
-        (f"chain of {n}", models.chain(n)) for n in ((7,) if small else (7, 20, 50))
-    ]
-    if not small:
-        sources += [(name, models.path(name)) for name in models.names()]
-    sources += [(Path(file).name, file) for file in robots]
-    for name, source in sources:
-        progress(name)
-        yield from _robot_rows(_subject(name, source, batch, peers), peers, 2 if small else 15)
+    for subject in subjects((7,) if small else (7, 20, 50), not small, robots, batch, peers):
+        progress(subject.name)
+        yield from _robot_rows(subject, peers, 2 if small else 15)
     if peers and not small:
         progress("mjx.kinematics")
         yield from _mjx_rows(batch)
-
-
-def _subject(name: str, source: str | Path, batch: int, peers: bool) -> Subject:
-    robot, model = kinematics.load(source), compile_model(source)
-    theirs = _pinocchio_model(source) if peers else None
-    q = np.random.default_rng(0).uniform(-2, 2, (batch, robot.nq))
-    return Subject(name, robot, model, theirs if theirs is not None and theirs.nq == robot.nq else None, q)
-
-
-def _pinocchio_model(source: str | Path) -> Any:
-    """Load the same robot into Pinocchio; None where it is not installed or cannot read this file."""
-    pinocchio = find_peer("pinocchio")
-    if pinocchio is None:
-        return None
-    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stderr(io.StringIO()):
-        if str(source).lstrip().startswith("<"):
-            text, source = str(source), Path(folder) / "robot.xml"
-            source.write_text(text)
-        build = pinocchio.buildModelFromUrdf if str(source).endswith(".urdf") else pinocchio.buildModelFromMJCF
-        try:
-            return build(str(source))
-        except Exception:  # it raises whatever its parser does
-            return None
 
 
 def _robot_rows(subject: Subject, peers: bool, repeats: int) -> Iterable[Row]:
