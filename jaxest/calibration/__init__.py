@@ -1,0 +1,12 @@
+"""What a sensor's readings must be corrected by, found from a recording; on the host, in float64.
+
+Start with `imu_static.calibrate` (a rest found by itself: gyro bias and noise), then `ellipsoid.fit` on slow turns
+(accelerometer or magnetometer: scale, skew of the axes, bias), and `clock.offset` for two IMUs on one link. Each says
+how well it knows, and refuses where the recording does not tell.
+
+Not here: estimators that find such things along with the motion (`jaxest.filters`, `jaxest.systems`).
+"""
+
+from jaxest.calibration import clock, ellipsoid, imu_static
+
+__all__ = ["clock", "ellipsoid", "imu_static"]

@@ -1,0 +1,189 @@
+"""Scale, skew and bias of a three-axis sensor that sees a vector of constant length in many directions.
+
+A reading y of a field of length g lies on an ellipsoid: |W (y - b)| = g with W symmetric. W is fitted as such, by the
+distance |W (y - b)| - g of each reading, so that the quadric is an ellipsoid whatever the noise: no hyperboloid can be
+written in this form. A fit of the general quadric's ten coefficients, with or without a constraint, weighs readings by
+what their coefficients do, and is biased by noise.
+
+Source: Sato 2024, section III-E, eqs. 37 and 38, whose constrained quadric (Li and Griffiths 2004) this replaces.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jaxest.types import InputError
+
+ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+
+
+class Fit(NamedTuple):
+    """How to correct a reading: `matrix @ (reading - bias)`."""
+
+    matrix: NDArray[np.float64]
+    """(3, 3) W, symmetric, positive definite."""
+    bias: NDArray[np.float64]
+    """(3,) in the sensor's unit."""
+    covariance: NDArray[np.float64]
+    """(9, 9) of W's entries xx, yy, zz, xy, xz, yz, and the bias."""
+    noise: float
+    """standard deviation of the corrected readings' length about g, in the sensor's unit"""
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """(3,) half axes of the ellipsoid over g, the sensor's gains, rising."""
+        return np.sort(1 / np.linalg.eigvalsh(self.matrix))
+
+    @property
+    def axes_error(self) -> NDArray[np.float64]:
+        """(3,) standard errors of `axes`."""
+        values, vectors = np.linalg.eigh(self.matrix)
+        errors = []
+        for value, v in zip(values[::-1], vectors.T[::-1], strict=True):
+            slope = np.array([v[i] * v[j] * (1 if i == j else 2) for i, j in ENTRIES])
+            errors.append(np.sqrt(slope @ self.covariance[:6, :6] @ slope) / value**2)
+        return np.array(errors)
+
+
+def fit(readings: ArrayLike, length: float = 9.80665, *, tolerance: float = 0.02, iterations: int = 100) -> Fit:
+    """Fit the ellipsoid.
+
+    Args:
+        readings: (n, 3) in the sensor's unit, without motion beyond slow turning.
+        length: g, the field's length in the same unit.
+        tolerance: largest standard error, of each half axis over g and of the bias over g, with which the result is
+            still accepted.
+        iterations: most steps of Levenberg and Marquardt.
+
+    Returns:
+        The fit.
+
+    Raises:
+        InputError: fewer than 12 readings, values that are not finite, or directions that do not determine the
+            ellipsoid; the message says how far the readings spread.
+    """
+    y = np.asarray(readings, np.float64)
+    if y.ndim != 2 or y.shape[1] != 3 or len(y) < 12:
+        raise InputError(f"readings: got shape {y.shape}, expected (n, 3) with at least 12 rows")
+    if not np.isfinite(y).all():
+        raise InputError(f"readings: row {int(np.argmin(np.isfinite(y).all(axis=1)))} is not finite")
+    x = _start(y / length)
+    residual, slope = _model(x, y / length)
+    damping, cost = 1e-3, residual @ residual
+    for _ in range(iterations):
+        gram, gradient = slope.T @ slope, slope.T @ residual
+        trial = x - np.linalg.solve(gram + damping * np.diag(np.diag(gram) + 1e-12), gradient)
+        found, its_slope = _model(trial, y / length)
+        lower = found @ found
+        if lower <= cost and np.linalg.eigvalsh(_matrix(trial))[0] > 0:
+            done = cost - lower <= 1e-14 * cost + 1e-30
+            x, residual, slope, cost, damping = trial, found, its_slope, lower, damping / 5
+            if done:
+                break
+        else:
+            damping *= 4
+            if damping > 1e12:
+                break
+    x, residual, slope = _unbiased(x, y / length)
+    return _judged(x, residual, slope, y, length, tolerance)
+
+
+def _start(y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The sphere about the readings by linear least squares: |y|^2 = 2 b'y + r^2 - b'b."""
+    a = np.hstack([2 * y, np.ones((len(y), 1))])
+    found = np.linalg.lstsq(a, np.sum(y * y, axis=1), rcond=1e-6)[0]
+    bias = found[:3]
+    radius = np.sqrt(max(found[3] + bias @ bias, 0.0))
+    if not (0.5 < radius < 2 and np.linalg.norm(bias) < 1):
+        bias, radius = np.zeros(3), float(np.sqrt(np.mean(np.sum(y * y, axis=1))))
+    return np.concatenate([np.full(3, 1 / radius), np.zeros(3), bias])
+
+
+def _matrix(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    a, b, c, d, e, f = x[:6]
+    return np.array([[a, d, e], [d, b, f], [e, f, c]])
+
+
+def _model(x: NDArray[np.float64], y: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Distances (n,) from the unit sphere after correction, and their derivatives (n, 9)."""
+    w, away = _matrix(x), y - x[6:]
+    corrected = away @ w
+    size = np.maximum(np.linalg.norm(corrected, axis=1), 1e-9)
+    unit = corrected / size[:, None]
+    columns = []
+    for i, j in ENTRIES:
+        columns.append(unit[:, i] * away[:, j] + (unit[:, j] * away[:, i] if i != j else 0))
+    return size - 1, np.column_stack([*columns, -unit @ w])
+
+
+def _unbiased(
+    x: NDArray[np.float64], y: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Solve again for what the gradient expects of noise instead of zero.
+
+    A reading's noise moves both its distance and that distance's slope; the mean of their product is, to second order,
+    half the Laplacian of the product times the variance. It does not shrink with more readings, and where few
+    directions are seen it is larger than the standard error.
+    """
+    for _ in range(20):
+        residual, slope = _model(x, y)
+        w, away = _matrix(x), y - x[6:]
+        corrected = away @ w
+        size = np.maximum(np.linalg.norm(corrected, axis=1), 1e-9)
+        unit = corrected / size[:, None]
+        steep = unit @ w  # of the distance, by the reading
+        variance = residual @ residual / max(len(y) - 9, 1) / np.mean(np.sum(steep**2, axis=1))
+        h = 1e-5
+        turned = (_model(x, y + h * steep)[1] - _model(x, y - h * steep)[1]) / (2 * h)
+        bend = (np.sum(w * w) - np.sum(steep**2, axis=1)) / size
+        expected = variance * np.sum(turned + slope * bend[:, None] / 2, axis=0)
+        change = np.linalg.lstsq(slope.T @ slope, slope.T @ residual - expected, rcond=1e-12)[0]
+        trial = x - change
+        if np.linalg.norm(change) > 0.2 or np.linalg.eigvalsh(_matrix(trial))[0] <= 0:
+            break
+        x = trial
+        if np.abs(change).max() < 1e-12:
+            break
+    return x, *_model(x, y)
+
+
+def _judged(
+    x: NDArray[np.float64],
+    residual: NDArray[np.float64],
+    slope: NDArray[np.float64],
+    y: NDArray[np.float64],
+    length: float,
+    tolerance: float,
+) -> Fit:
+    """Scale the result back and refuse it where it is not determined."""
+    spread = np.linalg.svd(y - y.mean(axis=0), compute_uv=False) / np.sqrt(len(y)) / length
+    gram = slope.T @ slope
+    scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-30))
+    values = np.linalg.eigvalsh(gram * np.outer(scale, scale))
+    where = (
+        f"the directions do not determine an ellipsoid: the readings spread by {spread[0]:.2f}, {spread[1]:.2f} and "
+        f"{spread[2]:.2f} g about their mean (0.58 each where all directions are seen)"
+    )
+    if values[0] < 1e-9 * values[-1]:
+        raise InputError(f"readings: {where}; turn the sensor through more attitudes")
+    noise = float(np.sqrt(residual @ residual / max(len(y) - 9, 1)))
+    covariance = np.linalg.inv(gram) * max(noise, 1e-9) ** 2
+    unit = np.concatenate([np.ones(6), np.full(3, length)])
+    wide = np.asarray(covariance * np.outer(unit, unit), np.float64)
+    result = Fit(_matrix(x), x[6:] * length, wide, noise * length)
+    worst = max(np.max(result.axes_error), float(np.sqrt(np.max(np.diag(covariance)[6:]))))
+    if not worst <= tolerance or not 0.2 < np.linalg.eigvalsh(result.matrix)[0] < 5:
+        raise InputError(
+            f"readings: {where}; the worst standard error is {worst:.3f} g, expected at most {tolerance:g}; turn the "
+            "sensor through more attitudes, or take more readings"
+        )
+    return result
+
+
+def apply(fitted: Fit, readings: ArrayLike) -> NDArray[np.float64]:
+    """Correct readings (..., 3)."""
+    return (np.asarray(readings, np.float64) - fitted.bias) @ fitted.matrix
+
+
+__all__ = ["Fit", "apply", "fit"]

@@ -1,0 +1,111 @@
+"""Bias and noise of an IMU from a rest in a recording, which is found by itself.
+
+Source: Sato 2024, section III-E.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jaxest.filters import savitzky_golay as sg
+from jaxest.types import InputError
+
+
+class Rest(NamedTuple):
+    """What a resting IMU says of itself."""
+
+    start: int
+    """first row of the rest"""
+    stop: int
+    """row after the last"""
+    gyroscope_bias: NDArray[np.float64]
+    """(3,) rad/s"""
+    gyroscope_covariance: NDArray[np.float64]
+    """(3, 3) (rad/s)^2, of a sample; divide by the number of rows for that of the bias"""
+    turn_covariance: NDArray[np.float64]
+    """(3, 3) (rad/s^2)^2, of the rate's derivative by the Savitzky-Golay filter"""
+    specific_force: NDArray[np.float64]
+    """(3,) m/s2, mean"""
+    accelerometer_covariance: NDArray[np.float64]
+    """(3, 3) (m/s2)^2, of a sample"""
+
+
+def calibrate(
+    time: ArrayLike,
+    gyroscope: ArrayLike,
+    accelerometer: ArrayLike,
+    *,
+    least: float = 0.5,
+    half_width: int = 7,
+    degree: int = 3,
+) -> Rest:
+    """Find the longest rest and read bias and noise from it.
+
+    Rest is where both sensors' scatter within a window of `least` seconds stays near the smallest of the recording,
+    for that is the sensors' noise; it must look like noise, not like the quietest part of a motion.
+
+    Args:
+        time: (n,) s, increasing.
+        gyroscope: (n, 3) rad/s.
+        accelerometer: (n, 3) m/s2.
+        least: s, shortest rest.
+        half_width: N of the filter whose derivative's noise is measured.
+        degree: M of that filter.
+
+    Returns:
+        The rest.
+
+    Raises:
+        InputError: shapes or stamps are wrong, values are not finite, or the sensor never rests; the message says how
+            quiet it was at best.
+    """
+    t, w, f = (np.asarray(x, np.float64) for x in (time, gyroscope, accelerometer))
+    if t.ndim != 1 or w.shape != (len(t), 3) or f.shape != (len(t), 3):
+        raise InputError(f"time, gyroscope, accelerometer: got {t.shape}, {w.shape}, {f.shape}, expected (n,), (n, 3)")
+    for name, x in (("gyroscope", w), ("accelerometer", f)):
+        if not np.isfinite(x).all():
+            raise InputError(f"{name}: row {int(np.argmin(np.isfinite(x).all(axis=1)))} is not finite")
+    if len(t) < 2 or not (np.diff(t) > 0).all():
+        raise InputError("time: expected at least two increasing stamps")
+    width = max(round(least / float(np.median(np.diff(t)))), 2 * half_width + 2)
+    if len(t) < width:
+        raise InputError(f"time: got {len(t)} samples, expected at least {width}, {least} s")
+    scatter = [_scatter(x, width) for x in (w, f)]
+    best = [float(s.min()) for s in scatter]
+    if best[0] > 0.05 or best[1] > 0.3:
+        raise InputError(
+            f"the sensor never rests: at its quietest the gyro scatters by {best[0]:.3f} rad/s and the accelerometer "
+            f"by {best[1]:.3f} m/s2 within {least} s, expected at most 0.05 and 0.3"
+        )
+    floor = [1e-9 + 2 * b for b in best]
+    quiet = np.all([s <= limit for s, limit in zip(scatter, floor, strict=True)], axis=0)
+    start, stop = _longest(quiet)
+    rows = slice(start, stop - 1 + width)
+    turns = sg.smooth(t[rows], w[rows], half_width=half_width, degree=degree)
+    slope = np.asarray(turns.derivative, np.float64)[half_width:-half_width]
+    return Rest(
+        rows.start, rows.stop, w[rows].mean(axis=0), np.cov(w[rows].T), np.cov(slope.T), f[rows].mean(axis=0),
+        np.cov(f[rows].T),
+    )  # fmt: skip
+
+
+def _scatter(x: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+    """Largest standard deviation over the axes within each window of `width` rows."""
+    x = x - x.mean(axis=0)
+    sums = [np.vstack([np.zeros((1, 3)), np.cumsum(v, axis=0)]) for v in (x, x * x)]
+    mean, square = ((s[width:] - s[:-width]) / width for s in sums)
+    return np.sqrt(np.maximum(square - mean**2, 0)).max(axis=1)
+
+
+def _longest(flags: NDArray[np.bool_]) -> tuple[int, int]:
+    """Start and stop of the longest run of true; there is one."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    if len(edges) == 0:
+        raise InputError("the gyro and the accelerometer are never quiet together")
+    starts, stops = edges[::2], edges[1::2]
+    longest = int(np.argmax(stops - starts))
+    return int(starts[longest]), int(stops[longest])
+
+
+__all__ = ["Rest", "calibrate"]
