@@ -10,6 +10,7 @@ from jaxest.io import SensorLog, Stream, read, write
 from jaxest.metrics import orientation_error
 
 ESTIMATE = ("--method", "orientation", "-o", "out")
+PLAIN = "[orientation]\nproportional_gain = 0.74\nintegral_gain = 0.0012\n"  # chooses the complementary filter
 FIELDS = {"name", "jaxest", "jax", "mujoco", "devices", "flags", "rows"}
 
 
@@ -187,7 +188,8 @@ def test_steps_that_are_too_long_for_the_covariance(invoke, tmp_path):
     time, up = np.arange(n) * 10.0, np.tile([0.0, 0.0, 9.81], (n, 1))
     streams = {"gyroscope": Stream(time, np.tile(rate, (n, 1)), "rad/s"), "accelerometer": Stream(time, up, "m/s2")}
     write(SensorLog(streams), tmp_path / "a.npz")
-    result = invoke("estimate", "a.npz", *ESTIMATE)
+    (tmp_path / "a.toml").write_text('[orientation]\nfilter = "complementary"\n')
+    result = invoke("estimate", "a.npz", *ESTIMATE, "-c", "a.toml")
     assert result.exit_code == 3
     assert "its covariance is not finite: steps of 10 s are too long" in result.stderr
 
@@ -236,27 +238,57 @@ def test_no_picture_without_matplotlib(invoke, tmp_path, monkeypatch):
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"estimate.npz", "report.json"}
 
 
+@pytest.mark.parametrize("name", ["ekf", "decoupled", "madgwick", "complementary"])
+def test_every_filter(invoke, tmp_path, name):
+    write(turning(truth=True), tmp_path / "a.npz")
+    (tmp_path / "a.toml").write_text(f"[orientation]\nfilter = '{name}'\n")
+    result = invoke("estimate", "a.npz", *ESTIMATE, "-c", "a.toml")
+    assert result.exit_code == 0, result.output
+    assert f"by the filter {name}, online" in result.stderr
+    streams = read(tmp_path / "out" / "estimate.npz").streams
+    known = {"orientation", "orientation_covariance", "gyroscope_bias"}
+    assert set(streams) == ({"orientation"} if name == "madgwick" else known)
+    assert streams["orientation"].extra["filter"] == name
+    limit = 0.4 if name == "madgwick" else 0.3  # Madgwick is pulled to where it was a sample ago, 0.31 deg
+    assert worst_deg(streams["orientation"].value, orientation(np.arange(200) / 100)) < limit
+
+
+def test_smoothed(invoke, tmp_path):
+    write(turning(truth=True), tmp_path / "a.npz")
+    (tmp_path / "a.toml").write_text("[orientation]\nsmooth = true\n[orientation.ekf.rest]\ntime = 2.0\n")
+    result = invoke("estimate", "a.npz", *ESTIMATE, "-c", "a.toml")
+    assert result.exit_code == 0, result.output
+    item = read(tmp_path / "out" / "estimate.npz").streams["orientation"]
+    assert item.extra["smoothed"] is True
+    assert worst_deg(item.value, orientation(item.time)) < 0.3
+
+
 @pytest.mark.recorded
-def test_broad_trial(invoke, shared):
+def test_broad_trial(invoke, shared, tmp_path):
+    """One trial by the complementary filter with its constant gains, and by the default."""
     trial = shared / "recordings" / "broad" / "04_undisturbed_slow_rotation_with_breaks_A.npz"
-    rows = json.loads(invoke("estimate", trial, *ESTIMATE, "--json").stdout)["rows"]
+    (tmp_path / "a.toml").write_text(PLAIN)
+    rows = json.loads(invoke("estimate", trial, *ESTIMATE, "-c", "a.toml", "--json").stdout)["rows"]
     found = {row["metric"]: row["value"] for row in rows}
     assert found["total RMSE"] == pytest.approx(5.08, abs=0.05)
     again = json.loads(invoke("compare", "out/estimate.npz", trial, "--json").stdout)["rows"]
     assert {row["metric"]: row["value"] for row in again}["total RMSE"] == pytest.approx(found["total RMSE"], rel=1e-6)
+    rows = json.loads(invoke("estimate", trial, *ESTIMATE, "--force", "--json").stdout)["rows"]
+    assert {row["metric"]: row["value"] for row in rows}["total RMSE"] < 1.0
 
 
 @pytest.mark.slow
 @pytest.mark.recorded
-def test_broad(invoke, shared):
+def test_broad(invoke, shared, tmp_path):
     """The benchmark's means with constant gains, on which two independent implementations agree."""
+    (tmp_path / "a.toml").write_text(PLAIN)
     total, inclination = [], []
     for trial in sorted((shared / "recordings" / "broad").glob("*.npz")):
         for sensors, kept, metric in (
             ("gyroscope,accelerometer", inclination, "inclination RMSE"),
             ("gyroscope,accelerometer,magnetometer", total, "total RMSE"),
         ):
-            result = invoke("estimate", trial, *ESTIMATE, "--sensors", sensors, "--force", "--json")
+            result = invoke("estimate", trial, *ESTIMATE, "-c", "a.toml", "--sensors", sensors, "--force", "--json")
             assert result.exit_code == 0, result.stderr
             kept += [row["value"] for row in json.loads(result.stdout)["rows"] if row["metric"] == metric]
     assert len(total) == len(inclination) == 20

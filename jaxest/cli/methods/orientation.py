@@ -1,13 +1,12 @@
-"""`--method orientation`: one IMU, with or without a magnetometer, by the passive complementary filter."""
+"""`--method orientation`: one IMU, with or without a magnetometer, by the filter that the config names."""
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.cli import orientation_errors
-from jaxest.cli.methods import SIZE, Outcome, Request
+from jaxest.cli.methods import SIZE, Outcome, Request, orientation_filters
 from jaxest.io import SensorLog, Stream, ticks, to_si
 from jaxest.io.log import refuse_nan, stream, where
 from jaxest.io.report import Row
@@ -15,19 +14,17 @@ from jaxest.io.units import kind_of
 from jaxest.types import InputError, Reading, unknown_name
 
 KINDS = ("gyroscope", "accelerometer", "magnetometer")
-UPDATES = ("exponential", "projection")
 HOLD = 1.5  # median intervals of the gyroscope for which its last reading stands in at a tick of another sensor
 MISSING = 0.1  # share of steps without a rate above which the result must not be used
 
 
 class Choice(NamedTuple):
-    """Which streams are used, and by which parameters."""
+    """Which streams are used, and by which filter."""
 
     prefix: str
     """`imu0/` in a log of several IMUs"""
     kinds: tuple[str, ...]
-    params: Any
-    update: str
+    filter: orientation_filters.Chosen
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -40,13 +37,13 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
     Args:
         log: a log with a gyroscope and an accelerometer, and perhaps a magnetometer.
-        request: settings: `imu`, `sensors`, `proportional_gain`, `integral_gain`, `lambda_acc`, `lambda_mag`, `update`,
-            and a table `noise`.
+        request: settings: `imu`, `sensors`, `filter` (one of `orientation_filters.FILTERS`), `smooth`, a table of the
+            filter's name with its `Params`; of the filter `complementary` its gains, `update` and a table `noise`.
 
     Returns:
-        Streams `orientation`, `orientation_covariance` and `gyroscope_bias`, a row for each sample of the gyroscope
-        and each sample of another sensor that does not coincide with one; NaN before the first samples have settled
-        the orientation. Errors, if the log carries its own truth.
+        Streams `orientation` and, of filters that have them, `orientation_covariance` and `gyroscope_bias`, a row for
+        each sample of the gyroscope and each sample of another sensor that does not coincide with one; NaN before the
+        first samples have settled the orientation. Errors, if the log carries its own truth.
 
     Raises:
         InputError: a stream is missing or holds NaN, a setting is unknown.
@@ -56,35 +53,38 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     steps = _steps(log, choice, request.nan)
     info = _run(choice, steps)
     valid = np.asarray(info.valid)
-    settled = [np.where(valid.reshape(-1, *(1,) * (a.ndim - 1)), a, np.nan) for a in
-               (np.asarray(x) for x in (info.quaternion, info.covariance, info.bias))]  # fmt: skip
+
+    def known(a: Any) -> Any:
+        return None if a is None else np.where(valid.reshape(-1, *(1,) * (a.ndim - 1)), a, np.nan)
+
+    quaternion, covariance, bias = known(info.quaternion), known(info.covariance), known(info.bias)
     heading = "magnetometer" in choice.kinds
-    extra = {"sensors": list(choice.names), "heading": "magnetic north" if heading else "free", "order": "wxyz"}
+    extra = {"sensors": list(choice.names), "heading": "magnetic north" if heading else "free", "order": "wxyz",
+             "filter": choice.filter.name, "smoothed": choice.filter.smooth}  # fmt: skip
     tangent = {"tangent": "rotation in the sensor: truth = orientation * exp(theta)"}
-    written = SensorLog(
-        {
-            "orientation": Stream(steps.time, settled[0], "1", "earth", extra=extra),
-            "orientation_covariance": Stream(steps.time, settled[1], "rad2", "sensor", extra=tangent),
-            "gyroscope_bias": Stream(steps.time, settled[2], "rad/s", "sensor"),
-        },
-        log.source,
-    )
-    truth, movement, known = _truth(log, choice, steps.time)
+    streams = {"orientation": Stream(steps.time, quaternion, "1", "earth", extra=extra)}
+    if covariance is not None:
+        streams["orientation_covariance"] = Stream(steps.time, covariance, "rad2", "sensor", extra=tangent)
+    if bias is not None:
+        streams["gyroscope_bias"] = Stream(steps.time, bias, "rad/s", "sensor")
+    written = SensorLog(streams, log.source)
+    truth, movement, name = _truth(log, choice, steps.time)
     rows = [Row(SIZE[0], "", float(len(steps.time)), "1"),
             Row(SIZE[1], "", float(steps.time[-1] - steps.time[0]), "s")]  # fmt: skip
-    notes = [f"used {', '.join(choice.names)}" + ("" if heading else "; no magnetometer, so the heading is free")]
+    by = f"the filter {choice.filter.name}, {'smoothed' if choice.filter.smooth else 'online'}"
+    notes = [f"used {', '.join(choice.names)} by {by}" + ("" if heading else "; no magnetometer: the heading is free")]
     notes += _gap(choice, steps)
     if truth is not None:
-        condition = f"to {known} in the log" + (", moving" if movement is not None else "")
+        condition = f"to {name} in the log" + (", moving" if movement is not None else "")
         rows += orientation_errors.rows(
-            settled[0], truth, covariance=settled[1], movement=movement, heading=heading, condition=condition,
-            place=f"{where(log)}stream {known!r}",
+            quaternion, truth, covariance=covariance, movement=movement, heading=heading, condition=condition,
+            place=f"{where(log)}stream {name!r}",
         )  # fmt: skip
 
     def draw(path: Any, title: str) -> None:
         from jaxest.viz import orientation
 
-        orientation.draw(path, steps.time, settled[0], settled[1], truth=truth, movement=movement, heading=heading,
+        orientation.draw(path, steps.time, quaternion, covariance, truth=truth, movement=movement, heading=heading,
                          title=title)  # fmt: skip
 
     return Outcome(written, rows, notes, _refused(info, steps), draw)
@@ -92,11 +92,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
 def schema() -> dict[str, Any]:
     """Return what may be in the config's table `[orientation]`, as `jaxest.io.config` takes it."""
-    from jaxest.filters.complementary import Params
-    from jaxest.filters.complementary_covariance import Noise
-
-    gains, noise = dict.fromkeys(Params._fields, float), dict.fromkeys(Noise._fields, float)
-    return {"imu": str, "sensors": list, "update": str, **gains, "noise": noise}
+    return {"imu": str, "sensors": list, **orientation_filters.schema()}
 
 
 def choose(log: SensorLog, request: Request) -> Choice:
@@ -113,10 +109,6 @@ def choose(log: SensorLog, request: Request) -> Choice:
         InputError: a setting or sensor is unknown, a stream is missing (the closest name is given), or there are
             several IMUs and none is named.
     """
-    from jaxest.filters.complementary import Params
-    from jaxest.filters.complementary_covariance import Noise
-    from jaxest.filters.complementary_covariance import Params as WithNoise
-
     settings = request.settings
     imu = settings["imu"] if "imu" in settings else _only_imu(log)
     prefix = f"{imu}/" if imu else ""
@@ -131,13 +123,7 @@ def choose(log: SensorLog, request: Request) -> Choice:
         raise InputError(f"sensors: got {', '.join(asked)}; the orientation needs gyroscope and accelerometer")
     for kind in kinds:
         stream(log, prefix + kind)
-    update = settings.get("update", UPDATES[0])
-    if update not in UPDATES:
-        raise unknown_name("update", update, UPDATES)
-    gains = _numbers(settings, Params._fields, "[orientation]")
-    noise = _numbers(settings.get("noise", {}), Noise._fields, "[orientation.noise]")
-    params = WithNoise(Params(**gains), Noise(**noise))
-    return Choice(prefix, kinds, params, update)
+    return Choice(prefix, kinds, orientation_filters.choose(settings))
 
 
 def imus(log: SensorLog) -> list[str]:
@@ -156,13 +142,6 @@ def _only_imu(log: SensorLog) -> str:
     return found[0] if found else ""
 
 
-def _numbers(settings: Mapping[str, Any], fields: tuple[str, ...], place: str) -> dict[str, float]:
-    for key in set(fields) & set(settings):
-        if not 0 <= settings[key] < np.inf:
-            raise InputError(f"{place} {key}: got {settings[key]}, expected a number, 0 or more")
-    return {key: float(settings[key]) for key in fields if key in settings}
-
-
 def _steps(log: SensorLog, choice: Choice, nan: str) -> Any:
     """Merge the streams; the gyroscope's last reading stands in at ticks that only another sensor has."""
     gyro = stream(log, choice.names[0])
@@ -179,20 +158,11 @@ def _steps(log: SensorLog, choice: Choice, nan: str) -> Any:
     return steps._replace(readings={**steps.readings, choice.names[0]: Reading(*held)})
 
 
-def _run(choice: Choice, steps: Any) -> Any:
-    import jax
+def _run(choice: Choice, steps: Any) -> orientation_filters.Estimate:
+    from jaxest.filters.complementary import Imu
 
-    from jaxest.filters import run
-    from jaxest.filters.complementary import Imu, exponential, projection
-    from jaxest.systems import orientation
-
-    update = {"exponential": exponential, "projection": projection}[choice.update]
-    system = orientation.build(sensors=choice.kinds, update=update, covariance=True)
     gyr, acc, mag = (steps.readings.get(choice.prefix + kind) for kind in KINDS)
-    measurements = Imu(gyr, acc, mag, steps.dt)
-    params = jax.tree.map(np.float32, choice.params)
-    _, info = run(system.step, params, system.init(params), measurements)
-    return info
+    return orientation_filters.run(choice.filter, choice.kinds, Imu(gyr, acc, mag, steps.dt))
 
 
 def _truth(
@@ -212,10 +182,9 @@ def _truth(
 
 
 def _gap(choice: Choice, steps: Any) -> list[str]:
-    """Say where the readings pause for longer than the filter needs to settle."""
-    gain = choice.params.filter.proportional_gain * choice.params.filter.lambda_acc
+    """Say where the readings pause for longer than the filter's memory."""
     worst = int(np.argmax(steps.dt))
-    if not steps.dt[worst] * gain > 1:
+    if not steps.dt[worst] > choice.filter.memory:
         return []
     pause, end = steps.dt[worst], steps.time[worst] - steps.time[0]
     return [f"no sample for {pause:.3g} s until {end:.3f} s: behind such a gap the estimate settles anew"]
@@ -228,7 +197,7 @@ def _refused(info: Any, steps: Any) -> list[str]:
         reasons.append("the orientation was never settled: no usable accelerometer (or magnetometer) sample")
     if not np.isfinite(np.asarray(info.quaternion)).all():
         reasons.append("the estimate is not finite")
-    elif not np.isfinite(np.asarray(info.covariance)).all():
+    elif info.covariance is not None and not np.isfinite(info.covariance).all():
         step = float(np.median(steps.dt[1:])) if len(steps.dt) > 1 else 0.0
         reasons.append(
             f"its covariance is not finite: steps of {step:.3g} s are too long for these gains and this motion"
