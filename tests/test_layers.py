@@ -25,6 +25,7 @@ LAYERS = [
     "io",
     "viz",
     "bench",
+    "reproduce",
     "cli",
 ]
 FORBIDDEN = {"filters": {"sensors", "kinematics", "models"}, "io": {"systems", "filters"}}

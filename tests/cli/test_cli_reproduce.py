@@ -1,0 +1,38 @@
+import json
+
+import pytest
+
+
+def test_small_figures_as_tables_pictures_and_json(invoke, tmp_path):
+    words = ("reproduce", "sato2023", "--part", "fig2", "--part", "fig3", "--small")
+    result = invoke(*words, "--json", "-o", "pictures")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    assert found["name"] == "sato2023"
+    rows = {(row["metric"], row["condition"]): row for row in found["rows"]}
+    circular = rows["fig3: circular mean", "kappa 10"]
+    assert circular["reference"] == 135.0
+    assert abs(circular["value"] - 135) < 5 * circular["spread"]
+    assert rows["fig3: naive mean", "kappa 1"]["value"] < 100  # the mistake that the figure warns of
+    for name in ("fig2", "fig3"):
+        assert (tmp_path / "pictures" / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
+    assert "--force" in invoke(*words, "-o", "pictures").stderr
+    table = invoke(*words)
+    assert "Fig. 3: naive against circular mean" in table.stdout
+
+
+def test_parts_are_named(invoke):
+    names = invoke("reproduce", "sato2023", "--list").stdout.split()
+    assert names[:3] == ["fig1", "fig2", "fig3"]
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (("sato2032",), "sato2023"),
+        (("sato2024",), "there are: sato2023"),
+        (("sato2023", "--part", "fig22"), "fig2"),
+    ],
+)
+def test_unknown_papers_and_parts_are_refused(refused, words, part):
+    assert part in refused("reproduce", *words)
