@@ -20,6 +20,7 @@ CASES = {
     "dynamics": "jaxest.bench.dynamics",
     "import": "jaxest.bench.import_time",
     "inverse_kinematics": "jaxest.bench.inverse_kinematics",
+    "kalman": "jaxest.bench.kalman",
     "kinematics": "jaxest.bench.kinematics",
     "logs": "jaxest.bench.logs",
     "onsite": "jaxest.bench.onsite",

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest import kinematics
-from jaxest.bench.harness import Candidate, candidate, compare, compile_row, race
+from jaxest.bench.harness import Candidate, Timing, candidate, compare, compile_row, race
 from jaxest.bench.robots import Subject
 from jaxest.io.report import Row
 
@@ -39,8 +39,9 @@ def rollout_rows(subject: Subject, steps: int, peers: bool, small: bool) -> Iter
         candidates.append(_mjx_candidate(subject, steps, states))
     found = race(candidates, repeats=2 if small else 5, min_time=0.0)
     condition = f"{subject.name}, {count} x {steps} steps, float64, per step"
-    for name in [one.name for one in candidates[1:]] or [None]:
-        yield compare("rollout", condition, found["ours"], None if name is None else found[name])
+    rivals: list[Timing | None] = [found[one.name] for one in candidates[1:]]
+    for peer in rivals or [None]:
+        yield compare("rollout", condition, found["ours"], peer)
     yield compile_row(f"rollout, {subject.name}", found["ours"])
     if peers:
         mjx = "MJX, without fusion emitters"
