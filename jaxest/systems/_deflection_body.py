@@ -10,11 +10,11 @@ import numpy as np
 from jaxest.kinematics import Frames, Robot, expand, forward, frame
 from jaxest.kinematics.movement import spread
 from jaxest.kinematics.moving import moving_frames
-from jaxest.kinematics.robot import HINGE, NQ
 from jaxest.kinematics.take import take
 from jaxest.sensors import Sensor
+from jaxest.sensors.joints import chosen, columns
 from jaxest.sensors.spec import checked, module
-from jaxest.types import Array, InputError, PyTree, unknown_name
+from jaxest.types import Array, PyTree
 
 
 class Look(NamedTuple):
@@ -60,45 +60,17 @@ def body(robot: Robot, sensors: Sequence[Sensor], joints: Sequence[str] | None, 
     Raises:
         InputError: a name does not exist, a joint is not a hinge, is coupled or is named twice, or there is none.
     """
-    led = {joint for joint, _ in robot.topology.couplings}
-    kinds = robot.topology.joint_kind
-    if joints is None:
-        chosen = tuple(j for j, kind in enumerate(kinds) if kind == HINGE and j not in led)
-        chosen = tuple(j for j in chosen if robot.joint_names[j] not in others)
-    else:
-        chosen = tuple(_joint(robot, name) for name in joints)
-    rest = tuple(_joint(robot, name) for name in others)
-    for joint in chosen:
-        if kinds[joint] != HINGE or joint in led:
-            what = "coupled to another" if joint in led else f"a {kinds[joint]}"
-            raise InputError(f"joint {robot.joint_names[joint]!r} is {what}, expected a hinge of its own")
-    for joint in rest:
-        if NQ[kinds[joint]] != 1 or joint in led:
-            raise InputError(f"joint {robot.joint_names[joint]!r}: expected a hinge or slide of its own among others")
-    both = [robot.joint_names[j] for j in (*chosen, *rest)]
-    twice = {name for name in both if both.count(name) > 1}
-    if twice or not chosen:
-        raise InputError(f"joints: {', '.join(sorted(twice))} named twice" if twice else "joints: there is no hinge")
+    found, rest = chosen(robot, joints, others)
     given = checked(sensors)
     frames = tuple(dict.fromkeys(frame(robot, f) for s in given if module(s).FRAMES for f in s.frames))
-    looks = [Look(module(s), s.name, _rows(robot, chosen, frames, s)) for s in given]
-    return Body(robot, chosen, rest, frames, tuple(looks))
-
-
-def _joint(robot: Robot, name: str) -> int:
-    if name not in robot.joint_names:
-        raise unknown_name("joint", name, robot.joint_names)
-    return robot.joint_names.index(name)
+    looks = [Look(module(s), s.name, _rows(robot, found, frames, s)) for s in given]
+    return Body(robot, found, rest, frames, tuple(looks))
 
 
 def _rows(robot: Robot, joints: tuple[int, ...], frames: tuple[int, ...], sensor: Sensor) -> tuple[int, ...]:
     if module(sensor).FRAMES:
         return tuple(frames.index(frame(robot, f)) for f in sensor.frames)
-    names = [robot.joint_names[j] for j in joints]
-    for name in sensor.frames:
-        if name not in names:
-            raise unknown_name(f"sensor {sensor.name!r}: estimated joint", name, names)
-    return tuple(names.index(name) for name in sensor.frames) or tuple(range(len(names)))
+    return columns(robot, joints, sensor.name, sensor.frames)
 
 
 def posture(body: Body, x: Array, measurement: PyTree) -> Array:
