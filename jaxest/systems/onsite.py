@@ -178,7 +178,7 @@ def step(
     position, place = rls.step(settings, state.position, observation, block=4 * width, start=rls.unweighted)
     lever = _lever(state.lever, o, rotation, window.p.force, known, forgetting)
     state = State(a, p, turn, position, lever, gain, state.index + 1)
-    return state, _info(found, covariance, spread, gain, place, lever, delay, ready, status)
+    return state, _info(found, covariance, spread, gain, noisy, place, lever, delay, ready, status)
 
 
 def _push(params: Params, state: State, measurement: Pair) -> tuple[sg.State, sg.State, Array, Array]:
@@ -233,14 +233,18 @@ def _lever(lever: Array, o: Array, rotation: Array, force: Array, known: Array, 
 
 
 def _info(
-    found: bingham_linear.Estimate, turning: Array, spread: Array, gain: Array, place: rls.Info, lever: Array,
-    delay: Array, ready: Array, status: Array,
+    found: bingham_linear.Estimate, turning: Array, spread: Array, gain: Array, noisy: Array, place: rls.Info,
+    lever: Array, delay: Array, ready: Array, status: Array,
 ) -> Info:  # fmt: skip
     # Each step used the rotation of its time, whose error then was larger: twice the variance of the last.
     moved = product(inverse3(lever[:, :3]), lever[:, 3:])
     # Overlapping windows repeat each other: over many, their noise is that of single samples. Blocks of windows tell
     # by how much the residuals' slow part exceeds that; their mean ratio is used, for single variances are uncertain.
-    white = place.formal / jnp.where(gain > 0, gain, 1)
+    # The derivatives' noise is quick and leaves no such slow part: its share of the residuals does not count.
+    quick = jnp.sum(noisy * place.estimate[:, None] * place.estimate[None, :])
+    total = jnp.trace(place.noise)
+    share = jnp.clip(1 - quick / jnp.where(total > 0, total, 1), 0.1, 1)
+    white = place.formal * (share / jnp.where(gain > 0, gain, 1))
     ratio = jnp.sum(inverse3(white) * place.covariance) / 3
     placed = white * jnp.maximum(ratio, 1)
     cross = product(turning, moved.T)
