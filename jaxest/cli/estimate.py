@@ -27,13 +27,14 @@ EXAMPLES = (
     "jaxest estimate trial.npz --method orientation -o out",
     "jaxest estimate trial.npz -m orientation --sensors gyroscope,accelerometer",
     "jaxest estimate log.csv -m orientation -c config.toml --start 10 --end 60 --force",
+    "jaxest estimate log.npz -m deflection --robot arm.urdf --config sensors.toml",
 )
 
 
 @command
 def run(
     log: Annotated[Path, typer.Argument(help="Log to read: NPZ or CSV, in jaxest's layout or anybody's.")],
-    method: Annotated[str, typer.Option("--method", "-m", help="What to estimate: orientation.")],
+    method: Annotated[str, typer.Option("--method", "-m", help="What to estimate: orientation, deflection.")],
     robot: Annotated[
         Path | None, typer.Option("--robot", "-r", help="Robot (MJCF, URDF), for methods that need one.")
     ] = None,

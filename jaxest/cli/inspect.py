@@ -31,7 +31,8 @@ def run(
 ) -> Answer:
     """Show a robot's tree, joints, frames and limits, or a log's streams, rates, gaps, clocks and doubtful units.
 
-    For a log in somebody else's layout, the lines of a config that read it are printed too.
+    For a log in somebody else's layout, the lines of a config that read it are printed too; for a robot, and for a log
+    of joints and sensors on links, a first config of the deflection filter.
     """
     del verbose
     return _robot(file, json) if is_robot(file) else _log(file, config, json)
@@ -62,24 +63,33 @@ def is_robot(file: Path) -> bool:
 
 
 def _robot(file: Path, json: bool) -> Answer:
-    from jaxest.cli import robot_view
+    from jaxest.cli import log_view, robot_view
+    from jaxest.cli.methods import deflection_config
     from jaxest.io.report import Row, report
     from jaxest.kinematics import load
 
     robot = load(file)
     facts = robot_view.describe(robot)
+    text = deflection_config.of_robot([joint["name"] for joint in facts["joints"]], facts["frames"])
     if not json:
-        robot_view.show(facts, robot_view.sites_of(robot), console())
+        out = console()
+        robot_view.show(facts, robot_view.sites_of(robot), out)
+        if facts["joints"]:
+            out.print(
+                "\nA first config for `jaxest estimate LOG --method deflection --robot`, to edit:\n", markup=False
+            )
+            log_view.show_config(text, out)
         return Answer()
     figures = (("nq", robot.nq, "1"), ("nv", robot.nv, "1"), ("mass", facts["mass_kg"], "kg"),
                ("bodies", len(facts["bodies"]), "1"), ("joints", len(facts["joints"]), "1"),
                ("frames", len(facts["frames"]), "1"))  # fmt: skip
     rows = [Row(metric, facts["name"], float(value), unit) for metric, value, unit in figures]
-    return Answer(json_object(report(NAME, rows), robot=facts))
+    return Answer(json_object(report(NAME, rows), robot=facts, config=text))
 
 
 def _log(file: Path, config: Path | None, json: bool) -> Answer:
     from jaxest.cli import log_view, settings
+    from jaxest.cli.methods.deflection_config import of_log
     from jaxest.cli.methods.orientation import imus
     from jaxest.io import read, to_toml
     from jaxest.io.inspect import summarize
@@ -92,7 +102,7 @@ def _log(file: Path, config: Path | None, json: bool) -> Answer:
     try:
         log = read(file, proposal.table if proposal else columns)
         summary = summarize(log)
-        text = log_view.with_settings(text, summary, imus(log))
+        text = log_view.with_settings(text, summary, imus(log), of_log(log))
     except InputError:
         if not unsure:
             raise

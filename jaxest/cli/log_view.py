@@ -56,13 +56,14 @@ def show(summary: Summary, title: str, out: Console) -> None:
         out.print("[green]nothing looks wrong[/]")
 
 
-def with_settings(text: str, summary: Summary, imus: list[str]) -> str:
+def with_settings(text: str, summary: Summary, imus: list[str], deflection: str = "") -> str:
     """Put around a config what `estimate` needs to be told about a log, beside its layout.
 
     Args:
         text: the lines of `[columns]`, or nothing.
         summary: from `jaxest.io.inspect.summarize`.
         imus: names of the IMUs; one of several is to be chosen.
+        deflection: the lines of `[deflection]`, if there are any.
 
     Returns:
         TOML text; nothing where nothing needs to be said.
@@ -75,6 +76,7 @@ def with_settings(text: str, summary: Summary, imus: list[str]) -> str:
     if len(imus) > 1:
         others = ", ".join(json.dumps(name) for name in imus[1:])
         parts.append(f"[orientation]\nimu = {json.dumps(imus[0])}  # or {others}\n")
+    parts += [deflection] if deflection else []
     return "\n".join(parts)
 
 

@@ -106,7 +106,9 @@ def fuse(
     level = quat.identity(angles.dtype)
     for hinge in hinges:
         parent = level if hinge.parent is None else turned[hinge.parent]
-        angles = angles.at[hinge.joint].set(angle_between(parent, turned[hinge.child], hinge.axis))
+        angles = angles.at[hinge.joint].set(
+            angle_between(parent, turned[hinge.child], jnp.array(hinge.axis, angles.dtype))
+        )
     return angles
 
 

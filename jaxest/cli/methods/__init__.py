@@ -12,7 +12,7 @@ from jaxest.io import SensorLog
 from jaxest.io.report import Row
 from jaxest.types import unknown_name
 
-METHODS = {"orientation": "jaxest.cli.methods.orientation"}
+METHODS = {"orientation": "jaxest.cli.methods.orientation", "deflection": "jaxest.cli.methods.deflection"}
 """Name of a method, and the module that holds it."""
 
 

@@ -154,7 +154,7 @@ def params(**changes: Any) -> deflection.Params:
     own = {name: value for name, value in changes.items() if name in given._fields}
     rest = {name: value for name, value in changes.items() if name not in own}
     changed = given._replace(**own, sensors=given.sensors._replace(**rest))
-    return jax.tree.map(lambda x: np.asarray(x, np.float32), changed)  # type: ignore[no-any-return]
+    return jax.tree.map(lambda x: np.asarray(x, np.float32), changed)
 
 
 def estimate(measurements: Any, seed: int, chosen: Any = None, given: Any = None) -> Result:

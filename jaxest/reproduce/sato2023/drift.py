@@ -66,7 +66,7 @@ def drifting(scene: arm.Scene, speed: float) -> Any:
     half = np.deg2rad(speed) * scene.time / 2
     for name in arm.IMUS:
         reading = getattr(measurements, name)
-        turned = _yawed(half, np.asarray(reading.value))
+        turned: Any = _yawed(half, np.asarray(reading.value))
         measurements = measurements._replace(**{name: Reading(turned, reading.valid)})
     return measurements
 

@@ -1,0 +1,210 @@
+"""The config's table `[deflection]`: what may be in it, which sensors it describes, and a first one to edit."""
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from jaxest.io import SensorLog
+from jaxest.io.units import kind_of
+from jaxest.types import InputError, unknown_name
+
+NUMBERS = ("concentration", "offset", "variance", "lam", "mounting", "first_mounting", "second_mounting", "up")
+ORDERS = ("wxyz", "xyzw")
+ATTITUDES = ("ekf", "complementary", "madgwick")
+PROPOSALS = ("guided", "bootstrap")
+NOISES = ("von_mises", "gaussian")
+RAW = {"gyroscope", "accelerometer"}
+
+
+class Described(NamedTuple):
+    """One sensor of the config."""
+
+    sensor: Any
+    """A `jaxest.sensors.Sensor`; of joints without their names yet."""
+    stream: str
+    """The stream that it reads; made from gyroscope and accelerometer where `imu` is given."""
+    imu: str | None
+    """Prefix of those, or None."""
+    attitude: str
+    """Filter that makes an orientation of them."""
+    order: str
+    """Of quaternions."""
+    columns: tuple[int, ...] = ()
+    """Of the stream, one for each of the sensor's joints; empty where it looks at frames, or not looked up yet."""
+
+
+def schema() -> dict[str, Any]:
+    """Return what may be in the config's table `[deflection]`, as `jaxest.io.config` takes it."""
+    numbers = dict.fromkeys(NUMBERS, (float, list))
+    words = dict.fromkeys(("kind", "stream", "imu", "attitude", "order", "frame"), str)
+    return {
+        "joints": list, "particles": int, "seed": int, "proposal": str, "noise": str, "truth": str,
+        **dict.fromkeys(("walk", "prior", "start", "compliance"), (float, list)),
+        "sensors": {"*": {**words, "frames": list, "joints": list, **numbers}},
+    }  # fmt: skip
+
+
+def sensors(settings: Mapping[str, Any]) -> list[Described]:
+    """Read the sensors of a config.
+
+    Args:
+        settings: the table `[deflection]`.
+
+    Returns:
+        The sensors, in the config's order.
+
+    Raises:
+        InputError: there is none, a kind, choice or number is not one, or a frame or stream is not said.
+    """
+    tables = settings.get("sensors", {})
+    if not tables:
+        raise InputError(
+            "[deflection] names no sensor; expected a --config with tables such as [deflection.sensors.encoders] "
+            "(`jaxest inspect ROBOT` prints a first one)"
+        )
+    return [_described(name, table) for name, table in tables.items()]
+
+
+def place(name: str) -> str:
+    """Return where a sensor stands in the config, for messages."""
+    return f"[deflection.sensors.{name}]"
+
+
+def _described(name: str, table: Mapping[str, Any]) -> Described:
+    from jaxest.sensors import KINDS, Sensor
+
+    kind = table.get("kind", "")
+    if kind not in KINDS:
+        raise InputError(f"{place(name)}: {unknown_name('kind', kind, KINDS)}")
+    frames = tuple(table.get("frames", ())) or ((table["frame"],) if "frame" in table else ())
+    wanted = KINDS[kind].FRAMES
+    if len(frames) != wanted:
+        many = f"frames = [...] with {wanted} names" if wanted > 1 else 'frame = "..."' if wanted else "no frame"
+        raise InputError(f"{place(name)}: a {kind} looks at {wanted} frame(s), got {len(frames)}; expected {many}")
+    if ("stream" in table) == ("imu" in table):
+        raise InputError(f'{place(name)}: expected either stream = "..." or, for a raw IMU, imu = "..."')
+    if "imu" in table and kind != "link_orientation":
+        raise InputError(f"{place(name)}: imu is for a link_orientation, which a {kind} is not")
+    for key, choices in (("order", ORDERS), ("attitude", ATTITUDES)):
+        if key in table and table[key] not in choices:
+            raise InputError(f"{place(name)}: {unknown_name(key, table[key], choices)}")
+    sensor = Sensor(kind, name, frames or tuple(table.get("joints", ())), _params(name, kind, table))
+    imu = table.get("imu")
+    stream = table["stream"] if imu is None else f"{imu}/orientation" if imu else "orientation"
+    return Described(sensor, stream, imu, table.get("attitude", ATTITUDES[0]), table.get("order", ORDERS[0]))
+
+
+def _params(name: str, kind: str, table: Mapping[str, Any]) -> Any:
+    """The kind's parameters with the numbers of the table, checked."""
+    import numpy as np
+
+    from jaxest.sensors import KINDS, Sensor, check_params, default_params
+
+    params = KINDS[kind].Params()
+    nested = {field for field, value in params._asdict().items() if isinstance(value, tuple)}
+    known: dict[str, tuple[str, ...]] = {f: () for f in params._fields if f not in nested}
+    for part in nested:
+        known |= dict.fromkeys(getattr(params, part)._fields, (part,))
+    for key in NUMBERS:
+        if key not in table:
+            continue
+        if key not in known:
+            raise InputError(f"{place(name)}: {unknown_name(f'{kind} key', key, known)}")
+        default = getattr(getattr(params, known[key][0]) if known[key] else params, key)
+        value = np.asarray(table[key], float) if _numeric(table[key]) else None
+        if value is None or (np.ndim(default) and value.shape not in ((), np.shape(default))) or (
+            value.shape == () and key in ("lam", "mounting", "first_mounting", "second_mounting", "up")
+        ):  # fmt: skip
+            raise InputError(f"{place(name)}: {key} is {table[key]}, expected numbers of shape {np.shape(default)}")
+        value = np.broadcast_to(value, np.shape(default)) if np.ndim(default) else value
+        if known[key]:
+            inner = getattr(params, known[key][0])._replace(**{key: value})
+            params = params._replace(**{known[key][0]: inner})
+        else:
+            params = params._replace(**{key: value})
+    one = (Sensor(kind, "sensor", ("",) * KINDS[kind].FRAMES, params),)
+    try:
+        check_params(one, default_params(one))
+    except InputError as error:
+        raise InputError(str(error).replace("sensor 'sensor'", place(name))) from error
+    return params
+
+
+def _numeric(value: Any) -> bool:
+    flat = value if isinstance(value, list) else [value]
+    return bool(flat) and all(isinstance(x, int | float) and not isinstance(x, bool) for x in flat)
+
+
+def of_robot(joints: Sequence[str], frames: Sequence[str]) -> str:
+    """Write a first config from a robot's names.
+
+    Args:
+        joints: names of the joints.
+        frames: names of the frames.
+
+    Returns:
+        TOML text: encoders, an orientation for each site that sounds like an IMU, a position for one at the end.
+    """
+    sites = [frame.removeprefix("site:") for frame in frames if frame.startswith("site:")]
+    imus = [site for site in sites if "imu" in site.lower()]
+    tips = [s for s in sites if any(word in s.lower() for word in ("end_effector", "tip", "tool", "tcp", "marker"))]
+    found = [_encoders("joint_position", joints)]
+    found += [_table(imu, "link_orientation", f"{imu}/orientation", f"site:{imu}") for imu in imus]
+    found += [_table(tip, "link_position", f"{tip}/position", f"site:{tip}") for tip in tips]
+    return "[deflection]\n\n" + "\n".join(found)
+
+
+def of_log(log: SensorLog) -> str:
+    """Write a first config from a log's streams; nothing where it is no log of joints and of sensors on links.
+
+    Args:
+        log: the log.
+
+    Returns:
+        TOML text; frames are guessed from the streams' names and are to be checked against the robot.
+    """
+    names = list(log.streams)
+    encoders = next((name for name in names if kind_of(name) == "joint_position"), None)
+    found = []
+    for name in names:
+        owner = name.rpartition("/")[0]
+        if owner and kind_of(name) in ("orientation", "position"):
+            kind = "link_orientation" if kind_of(name) == "orientation" else "link_position"
+            found.append(_table(_identifier(owner), kind, name, f"site:{owner}"))
+        elif owner and _raw(name, owner, names):
+            found.append(_table(_identifier(owner), "link_orientation", "", f"site:{owner}", imu=owner))
+    if encoders is None or not found:
+        return ""
+    return "[deflection]\n\n" + "\n".join([_encoders(encoders, log.streams[encoders].names), *found])
+
+
+def _raw(name: str, owner: str, names: Sequence[str]) -> bool:
+    """Whether a stream is the gyroscope of an IMU that has an accelerometer and no orientation."""
+    there = kind_of(name) == "gyroscope" and f"{owner}/accelerometer" in names
+    return there and f"{owner}/orientation" not in names
+
+
+def _identifier(name: str) -> str:
+    plain = "".join(c if c.isalnum() else "_" for c in name)
+    return plain if plain.isidentifier() and not plain.startswith("_") else f"sensor_{plain.strip('_')}"
+
+
+def _encoders(stream: str, joints: Sequence[str]) -> str:
+    named = f"# joints = {json.dumps(list(joints))}  # of the columns, in this order\n" if joints else ""
+    return (
+        f'[deflection.sensors.encoders]\nkind = "joint_angle"\nstream = {json.dumps(stream)}\n{named}'
+        "concentration = 15.0  # 1/rad^2, how far the robot may bend from what they read\n"
+    )
+
+
+def _table(name: str, kind: str, stream: str, frame: str, imu: str = "") -> str:
+    source = f"imu = {json.dumps(imu)}  # raw: gyroscope and accelerometer" if imu else f"stream = {json.dumps(stream)}"
+    noise = (
+        "variance = [0.01, 0.01, 0.01]  # m^2"
+        if kind == "link_position"
+        else "lam = [0, -800, -800, 0]  # of w, x, y, z; the last 0 leaves the yaw free, -800 where it does not drift"
+    )
+    return (
+        f"[deflection.sensors.{_identifier(name)}]\nkind = {json.dumps(kind)}\n{source}\n"
+        f"frame = {json.dumps(frame)}  # of the robot; check\n{noise}\n"
+    )

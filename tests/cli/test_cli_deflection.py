@@ -1,0 +1,204 @@
+"""`jaxest estimate --method deflection`: a bent arm's log, and all that may be wrong with one."""
+
+import json
+
+import numpy as np
+import pytest
+
+from jaxest import models
+from jaxest.cli.methods import deflection_config
+from jaxest.io import SensorLog, Stream, read, write
+
+JOINTS = ("yaw", "shoulder", "elbow", "gripper")
+BENT = np.array([0.3, 0.8, 0.7, -0.2])  # how the arm stands
+READ = np.array([0.3, 0.7, 0.65, -0.2])  # what the encoders say
+CONFIG = """
+[deflection]
+particles = 64
+
+[deflection.sensors.encoders]
+kind = "joint_angle"
+stream = "joint_position"
+concentration = 15.0
+
+[deflection.sensors.imu2]
+kind = "link_orientation"
+stream = "imu2/orientation"
+frame = "site:imu2"
+
+[deflection.sensors.imu3]
+kind = "link_orientation"
+stream = "imu3/orientation"
+frame = "site:imu3"
+lam = [0, -800, -800, 0]
+"""
+
+
+def tilted(yaw, pitch, n):
+    """A link turned about z, then about its own y, (n, 4) wxyz."""
+    c, s, d, t = np.cos(yaw / 2), np.sin(yaw / 2), np.cos(pitch / 2), np.sin(pitch / 2)
+    return np.tile([c * d, -s * t, c * t, s * d], (n, 1))
+
+
+def bent(n=40):
+    """Streams of the arm at rest, without noise; the yaw of one IMU is off by a rad."""
+    time = np.arange(n) / 10
+    return {
+        "joint_position": Stream(time, np.tile(READ, (n, 1)), "rad", names=JOINTS),
+        "imu2/orientation": Stream(time, tilted(1.3, 0.8, n), "1"),
+        "imu3/orientation": Stream(time + 0.01, tilted(0.3, 1.5, n), "1"),
+        "joints": Stream(time, np.tile(BENT, (n, 1)), "rad", names=JOINTS),
+    }
+
+
+@pytest.fixture
+def log(tmp_path):
+    """Write a log and a config, and return the words of the command."""
+
+    def make(config=CONFIG, **changes):
+        streams = bent()
+        for name, (field, value) in changes.items():
+            streams[name.replace("__", "/")] = streams[name.replace("__", "/")]._replace(**{field: value})
+        write(SensorLog(streams), tmp_path / "log.npz", overwrite=True)
+        (tmp_path / "c.toml").write_text(config)
+        robot = models.path("arm")
+        return ("estimate", "log.npz", "-m", "deflection", "--robot", robot, "--config", "c.toml", "-o", "out")
+
+    return make
+
+
+def test_a_bent_arm_is_known_better_than_by_its_encoders(invoke, log, tmp_path):
+    result = invoke(*log(), "--json")
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout)
+    rows = {(row["metric"], row["condition"]): row["value"] for row in found["rows"]}
+    assert rows["from the reading, RMS", "shoulder"] > 4  # it is 5.7 deg away
+    assert rows["error to joints, RMS", "shoulder"] < 1.5  # posterior 3 deg, of 64 particles' mean 0.4
+    assert rows["error to joints, RMS", "elbow"] < 2
+    assert rows["truth inside 95 % interval", "all joints"] > 99
+    assert rows["effective sample size", "mean"] > 32
+    estimate = read(tmp_path / "out" / "estimate.npz").streams
+    assert estimate["joints"].names == JOINTS
+    assert estimate["joints"].value.shape == (40, 4)
+    assert estimate["joints_covariance"].value.shape == (40, 4, 4)
+    assert (estimate["joints_lower"].value < estimate["joints"].value).all()
+    assert (estimate["joints_upper"].value > estimate["joints"].value).all()
+    assert (tmp_path / "out" / "deflection.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_quaternions_in_the_other_order_and_missing_rows_change_nothing_where_the_config_says_so(invoke, log):
+    values = []
+    for order in ("wxyz", "xyzw"):
+        q = bent()["imu3/orientation"].value.copy()
+        q[7] = np.nan
+        q = q[:, [1, 2, 3, 0]] if order == "xyzw" else q
+        config = 'nan = "missing"\n' + CONFIG + f'order = "{order}"\n'
+        result = invoke(*log(config, imu3__orientation=("value", q)), "--json", "--force")
+        assert result.exit_code == 0, result.output
+        values.append([row["value"] for row in json.loads(result.stdout)["rows"] if row["metric"] != "run time"])
+    assert values[0] == values[1]
+
+
+def changed(stream, row, value):
+    """Values of a stream with one row replaced."""
+    values = bent()[stream].value.copy()
+    values[row] = value
+    return values
+
+
+BAD = {
+    "unknown frame": (CONFIG.replace("site:imu3", "site:imu33"), {}, ["sensors.imu3", "'site:imu33'", "'site:imu3'"]),
+    "unknown stream": (CONFIG.replace("imu2/orient", "imu2/orent"), {}, ["imu2/orentation", "'imu2/orientation'"]),
+    "unknown kind": (CONFIG.replace("joint_angle", "joint_angel"), {}, ["sensors.encoders", "'joint_angle'"]),
+    "unknown key": (CONFIG.replace("lam =", "lamb ="), {}, ["c.toml, line", "sensors.imu3.lam'"]),
+    "unknown proposal": (CONFIG.replace("particles = 64", 'proposal = "guide"'), {}, ["proposal", "'guided'"]),
+    "negative concentration": (CONFIG.replace("15.0", "-15.0"), {}, ["sensors.encoders", "-15", "at least 0"]),
+    "negative walk": (CONFIG.replace("particles = 64", "walk = -1.0"), {}, ["walk", "-1.0", "0 or more"]),
+    "no sensor": ("[deflection]\n", {}, ["names no sensor", "jaxest inspect ROBOT"]),
+    "lengths": (
+        CONFIG,
+        {"imu3__orientation": ("value", 1.1 * bent()["imu3/orientation"].value)},
+        ["'imu3/orientation'", "row 0 at 0.010000 s", "length 1.1", "expected 1"],
+    ),
+    "order": (
+        CONFIG,
+        {"imu3__orientation": ("value", bent()["imu3/orientation"].value[:, [1, 2, 3, 0]])},
+        ["'imu3/orientation'", 'order = "xyzw"', "sensors.imu3"],
+    ),
+    "inverse": (
+        CONFIG,
+        {"imu3__orientation": ("value", bent()["imu3/orientation"].value * [1, -1, -1, -1])},
+        ["'imu3/orientation'", "world to sensor"],
+    ),
+    "NaN": (
+        CONFIG,
+        {"joint_position": ("value", changed("joint_position", 3, np.nan))},
+        ["'joint_position'", "row 3 at 0.3", 'nan = "missing"'],
+    ),
+    "columns": (
+        CONFIG,
+        {"joint_position": ("names", ("a", "b", "c", "d"))},
+        ["'joint_position'", "a, b, c, d", "yaw"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_input_is_named(refused, log, name):
+    config, changes, parts = BAD[name]
+    message = refused(*log(config, **changes))
+    for part in parts:
+        assert part in message
+
+
+@pytest.mark.parametrize(("stamp", "word"), [(0.75, "earlier than"), (0.8, "a duplicate of")])
+def test_unsorted_and_duplicate_stamps_are_refused(refused, log, tmp_path, stamp, word):
+    words = log()
+    arrays = dict(np.load(tmp_path / "log.npz"))
+    arrays["imu2/orientation/time"][9] = stamp
+    np.savez(tmp_path / "log.npz", **arrays)
+    message = refused(*words)
+    for part in ("'imu2/orientation'", "row 9", word, "strictly increasing"):
+        assert part in message
+
+
+def test_a_robot_is_needed(refused, log):
+    words = [str(word) for word in log()]
+    at = words.index("--robot")
+    assert "--robot" in refused(*words[:at], *words[at + 2 :])
+
+
+def test_the_first_config_of_robot_and_log_are_accepted(invoke, log, tmp_path):
+    log()
+    for file in (models.path("arm"), "log.npz"):
+        result = invoke("inspect", file, "--json")
+        assert result.exit_code == 0, result.output
+        text = json.loads(result.stdout)["config"]
+        (tmp_path / "first.toml").write_text(text)
+        from jaxest.cli.settings import load
+
+        table = load(tmp_path / "first.toml").method("deflection")
+        found = deflection_config.sensors(table)
+        assert [one.sensor.name for one in found][:3] == ["encoders", "imu2", "imu3"]
+        assert found[1].sensor.frames == ("site:imu2",)
+
+
+def test_a_raw_imu_becomes_an_orientation(invoke, tmp_path):
+    n, rate = 600, 100.0
+    time = np.arange(n) / rate
+    up = 9.81 * np.array([-np.sin(1.5), 0, np.cos(1.5)])  # in the forearm, which leans by 1.5 rad
+    streams = bent()
+    upper = 9.81 * np.array([-np.sin(0.8), 0, np.cos(0.8)])
+    del streams["imu2/orientation"], streams["imu3/orientation"]
+    for name, force in (("imu2", upper), ("imu3", up)):
+        streams[f"{name}/gyroscope"] = Stream(time, np.full((n, 3), 1e-3), "rad/s")
+        streams[f"{name}/accelerometer"] = Stream(time, np.tile(force, (n, 1)), "m/s2")
+    write(SensorLog(streams), tmp_path / "raw.npz")
+    config = CONFIG.replace('stream = "imu2/orientation"', 'imu = "imu2"\nattitude = "madgwick"')
+    (tmp_path / "c.toml").write_text(config.replace('stream = "imu3/orientation"', 'imu = "imu3"\nattitude = "ekf"'))
+    words = ("estimate", "raw.npz", "-m", "deflection", "--robot", models.path("arm"), "-c", "c.toml", "--json")
+    result = invoke(*words)
+    assert result.exit_code == 0, result.output
+    rows = {(row["metric"], row["condition"]): row["value"] for row in json.loads(result.stdout)["rows"]}
+    assert rows["error to joints, RMS", "shoulder"] < 1.5
+    assert rows["error to joints, RMS", "elbow"] < 2
