@@ -188,7 +188,8 @@ def describe(params: Params, state: State, valid: Array, *, seen: bool) -> Info:
     map_ = jnp.concatenate([jnp.eye(3, dtype=dtype), jnp.zeros((3, 10), dtype), up[:, None] * turn[None, :]], axis=1)
     earth = _sandwich(map_, state.covariance)
     free = jnp.where(seen & ~state.heading_initialized, jnp.pi**2 / 3, 0)
-    earth = earth + free * jnp.outer(up, up)
+    lasting = (params.accelerometer_bias / params.gravity) ** 2
+    earth = earth + jnp.diag(jnp.stack([lasting, lasting, jnp.asarray(free, dtype)]))
     covariance = _sandwich(matrix.T, earth)
     unknown = jnp.eye(3, dtype=dtype) * (jnp.pi**2 / 3)
     covariance = jnp.where(state.initialized, (covariance + covariance.T) / 2, unknown)

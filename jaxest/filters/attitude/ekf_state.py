@@ -59,7 +59,10 @@ class Params(NamedTuple):
     initial_scale: ArrayLike = 0.005
     """() without unit, standard deviation of each gyro scale before any data."""
     gravity: ArrayLike = 9.81
-    """() m/s^2, norm of the specific force at rest; used for the first sample only."""
+    """() m/s^2, norm of the specific force at rest; used for the first sample and the covariance only."""
+    accelerometer_bias: ArrayLike = 0.05
+    """() m/s^2, standard deviation of the accelerometer's bias along each axis, 5 mg, a tilt that no averaging takes
+    away; enters the covariance that is given out only."""
     interval: ArrayLike = 0.03
     """() s between corrections."""
     rest: resting.Rest = resting.Rest()

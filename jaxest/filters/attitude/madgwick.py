@@ -90,8 +90,10 @@ def step(params: Params, state: State, measurement: Imu, *, key: Array | None = 
     reference = jnp.stack([jnp.where(flat > 0, jnp.sqrt(jnp.where(flat > 0, flat, 1)), 0), up])
     use_acc = sample.accelerometer.valid & state.initialized
     use_mag = sample.magnetometer.valid & state.initialized & state.heading_initialized
-    slope = _slope(before, acc, jnp.array([0, 1], dtype)) * use_acc + _slope(before, mag, reference) * use_mag
-    descent = direction(slope)
+    quarter = jnp.asarray([0.5**0.5, 0, 0, 0.5**0.5], dtype)  # from the paper's earth frame to this one
+    paper = quat.compose(quat.inverse(quarter), before)
+    slope = _slope(paper, acc, jnp.array([0, 1], dtype)) * use_acc + _slope(paper, mag, reference) * use_mag
+    descent = quat.compose(quarter, direction(slope))
     rate = jnp.where(sample.gyroscope.valid, sample.gyroscope.value, 0)
     turn = quat.compose(before, jnp.concatenate([jnp.zeros(1, dtype), rate])) / 2
     moved = quat.normalize(before + (turn - beta * descent) * sample.dt)
@@ -109,11 +111,14 @@ def step(params: Params, state: State, measurement: Imu, *, key: Array | None = 
 
 
 def _slope(quaternion: Array, seen: Array, reference: Array) -> Array:
-    """Gradient (4,) of half the squared error between a direction and its reference (north, up), eqs. 20, 21, 34."""
+    """Gradient (4,) of half the squared error between a direction and its reference (north, up), eqs. 20, 21, 34.
+
+    In the paper's frame, since its normalised step depends on how the rotation matrix is written off the unit sphere.
+    """
 
     def half_square(q: Array) -> Array:
         w, x, y, z = q
-        to_north = jnp.stack([2 * (x * y + w * z), 2 * (0.5 - x * x - z * z), 2 * (y * z - w * x)])
+        to_north = jnp.stack([2 * (0.5 - y * y - z * z), 2 * (x * y - w * z), 2 * (w * y + x * z)])
         to_up = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 2 * (0.5 - x * x - y * y)])
         error = reference[0] * to_north + reference[1] * to_up - seen
         return jnp.sum(error * error) / 2

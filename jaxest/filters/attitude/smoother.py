@@ -33,6 +33,8 @@ class _Node(NamedTuple):
     """before the correction"""
     state: ekf.State
     """after it"""
+    known: Array
+    """() bool, whether there was an orientation before the block"""
     valid: Array
     """(block,) bool"""
     headed: Array
@@ -58,7 +60,8 @@ def smooth(params: ekf.Params, state0: ekf.State, measurements: Imu, *, block: i
     Raises:
         ValueError: `block` is below 1, or a shape is wrong.
 
-    Source: Rauch, Tung, Striebel 1965 on deviations; Park, Kailath 1996 (square roots).
+    Source: Rauch, Tung, Striebel 1965 on deviations; Park, Kailath 1996 (square roots). Linear about the filter's
+    path, once: its last estimate differs from the filter's by what the filter's own linearisation left.
     """
     if block < 1:
         raise ValueError(f"block: got {block}, expected at least 1")
@@ -124,16 +127,17 @@ def _forward(params: ekf.Params, before: ekf.State, samples: Imu) -> tuple[ekf.S
     )
     total = jnp.where(moved.since.time > 0, moved.since.time, 1)
     share = jnp.where(moved.since.time > 0, time / total, 1)
-    return after, _Node(path, share, moved.track, after, valid, headed, status, series)
+    return after, _Node(path, share, moved.track, after, before.initialized, valid, headed, status, series)
 
 
 def _between(params: ekf.Params, node: _Node, begin: Root, end: Root, *, seen: bool) -> ekf.Info:
     """Infos of a block's samples."""
     ending = MANIFOLD.retract(node.state.track, end.mean)
     last = MANIFOLD.local(node.ahead, ending)
+    first = jnp.where(node.known, begin.mean, last)
 
     def one(track: Track, share: Array, valid: Array, headed: Array, status: Array) -> ekf.Info:
-        moved = MANIFOLD.retract(track, begin.mean + share * (last - begin.mean))
+        moved = MANIFOLD.retract(track, first + share * (last - first))
         moved = moved._replace(bias=ending.bias, scale=ending.scale, field=ending.field)
         state = node.state._replace(
             track=moved, covariance=end.covariance, initialized=valid, heading_initialized=headed
