@@ -14,6 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from deflection_models import FEW
+from deflection_models import build as bent_arm
 from kalman_models import build as kalman_body
 from onsite_models import pose, position, rotation, window
 from particle_models import GUIDED
@@ -21,7 +23,7 @@ from particle_models import build as particle_arm
 
 from jaxest.filters import attitude, bingham_linear, complementary, kalman, resampling, rls, run
 from jaxest.io.checkpoint import load_state, save_state
-from jaxest.systems import orientation
+from jaxest.systems import deflection, orientation
 from jaxest.types import NON_FINITE, OK, Reading, System
 
 
@@ -52,6 +54,8 @@ ROWS = [
     Row("rls_pseudo_inverse", partial(position, rls.pseudo_inverse)),
     Row("kalman_iterated", partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0)),
     Row("particle_bootstrap", particle_arm, differentiable=False),
+    Row("deflection_bootstrap", partial(bent_arm, deflection.bootstrap, FEW), differentiable=False),
+    Row("deflection_guided", partial(bent_arm, deflection.guided, FEW), differentiable=False),
     Row(
         "particle_guided",
         partial(particle_arm, GUIDED, resampling.adaptive(resampling.stratified, 0.9)),

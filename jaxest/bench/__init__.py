@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from jaxest.io.report import Row
 
 CASES = {
+    "deflection": "jaxest.bench.deflection",
     "dynamics": "jaxest.bench.dynamics",
     "import": "jaxest.bench.import_time",
     "inverse_kinematics": "jaxest.bench.inverse_kinematics",
