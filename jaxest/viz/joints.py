@@ -2,13 +2,23 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 INK, TRUTH, READ = "#1f4e79", "#d1495b", "0.35"
 POINTS = 3000  # more do not fit on the paper
+
+
+class Lines(NamedTuple):
+    """One joint's lines, each (T,) deg or None."""
+
+    mean: Any
+    lower: Any
+    upper: Any
+    read: Any
+    true: Any
 
 
 def draw(
@@ -24,6 +34,8 @@ def draw(
     title: str = "",
 ) -> None:
     """Draw joint angles with their 95 % band and write the picture.
+
+    A line of panels for each joint: the angle, and beside it how far it is from the reference, where there is one.
 
     Args:
         path: file to write, `.png` or another suffix that matplotlib knows; replaced if it exists.
@@ -42,33 +54,39 @@ def draw(
     pick = slice(None, None, max(1, len(time) // POINTS))
     time = np.asarray(time)[pick] - np.asarray(time)[0]
     mean, lower, upper = (np.rad2deg(np.asarray(x, float)[pick]) for x in (mean, lower, upper))
-    others = [None if x is None else np.rad2deg(np.asarray(x, float)[pick]) for x in (reference, truth)]
-    columns = 1 if len(names) <= 5 else 2
-    lines = -(-len(names) // columns)
-    figure = Figure(figsize=(5 + 5 * columns, 1.8 * lines + 0.8), layout="constrained")
+    read, true = (None if x is None else np.rad2deg(np.asarray(x, float)[pick]) for x in (reference, truth))
+    columns = 1 if read is None else 2
+    figure = Figure(figsize=(5 + 4 * columns, 1.6 * len(names) + 0.8), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(lines, columns, sharex=True, squeeze=False).T.ravel()
+    axes = figure.subplots(len(names), columns, sharex=True, squeeze=False)
     figure.suptitle(title, fontsize=11, x=0.01, ha="left")
-    for joint, axis in enumerate(axes):
-        axis.spines[["top", "right"]].set_visible(False)
-        if joint >= len(names):
-            axis.axis("off")
-            continue
-        axis.fill_between(time, lower[:, joint], upper[:, joint], color=INK, alpha=0.18, linewidth=0, label="95 % band")
-        for values, colour, style, label in zip(others, (READ, TRUTH), (":", "-"), ("encoder", "truth"), strict=True):
-            if values is not None and np.isfinite(values[:, joint]).any():
-                shown = _beside(values[:, joint], mean[:, joint])
-                axis.plot(time, shown, color=colour, linestyle=style, linewidth=1.4, label=label)
-        axis.plot(time, mean[:, joint], color=INK, linewidth=0.9, label="estimate")
-        axis.set_ylabel(f"{names[joint]} [deg]")
-        axis.grid(alpha=0.25, linewidth=0.6)
-        axis.margins(x=0)
-    axes[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=4, fontsize=8, frameon=False)
-    for axis in axes[lines - 1 :: lines]:
+    for j, name in enumerate(names):
+        now = Lines(*(None if x is None else x[:, j] for x in (mean, lower, upper, read, true)))
+        _panel(axes[j, 0], time, now)
+        axes[j, 0].set_ylabel(f"{name} [deg]")
+        if now.read is not None:
+            zero = np.where(np.isfinite(now.read), now.read, np.nan)
+            _panel(axes[j, 1], time, Lines(*(None if x is None else _beside(x - zero, 0.0) for x in now)))
+    axes[0, 0].legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=4, fontsize=8, frameon=False)
+    if read is not None:
+        axes[0, 1].set_title("from the encoder's reading", fontsize=9, loc="left")
+    for axis in axes[-1]:
         axis.set_xlabel("time [s]")
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi=110)
 
 
-def _beside(value: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
+def _panel(axis: Any, time: NDArray[Any], now: Lines) -> None:
+    axis.fill_between(time, now.lower, now.upper, color=INK, alpha=0.18, linewidth=0, label="95 % band")
+    if now.read is not None:
+        axis.plot(time, _beside(now.read, now.mean), color=READ, linestyle=":", linewidth=1.4, label="encoder")
+    if now.true is not None:
+        axis.plot(time, _beside(now.true, now.mean), color=TRUTH, linewidth=1.6, label="truth")
+    axis.plot(time, now.mean, color=INK, linewidth=0.8, label="estimate")
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.grid(alpha=0.25, linewidth=0.6)
+    axis.margins(x=0)
+
+
+def _beside(value: NDArray[Any], other: Any) -> NDArray[Any]:
     """Take whole turns off angles, deg, so that they stand within half a turn of others."""
     return np.asarray(other + (value - other + 180) % 360 - 180)
