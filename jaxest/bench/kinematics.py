@@ -10,9 +10,8 @@ import numpy as np
 
 from jaxest import kinematics, models
 from jaxest.bench.harness import Candidate, Progress, Timing, candidate, compare, compile_row, find_peer, race
-from jaxest.bench.robots import Subject, subjects
+from jaxest.bench.robots import Subject, joints_above, subjects
 from jaxest.io.report import Row
-from jaxest.kinematics.fold import carriers
 
 
 def rows(*, peers: bool, progress: Progress, small: bool = False, robots: Sequence[str] = ()) -> Iterable[Row]:
@@ -93,14 +92,7 @@ def two_frames(robot: kinematics.Robot) -> tuple[int, int]:
     Returns:
         Their frames; on a chain the second is its middle.
     """
-    carried = carriers(robot.topology)
-    above: list[tuple[int, ...]] = []
-    for joint in carried.frame[: len(robot.topology.body_names)]:
-        path = []
-        while joint >= 0:
-            path.append(joint)
-            joint = carried.joint[joint]
-        above.append(tuple(path))
+    above = joints_above(robot)
     first = max(range(len(above)), key=lambda body: len(above[body]))
     beside = [b for b in range(len(above)) if above[b] and above[b][0] not in above[first]]
     if beside:

@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxest import kinematics, models
 from jaxest.bench.harness import find_peer
+from jaxest.kinematics.fold import carriers
 from jaxest.kinematics.load import compile_model
 
 
@@ -95,3 +96,43 @@ def pinocchio_model(source: str | Path, robot: kinematics.Robot) -> Any:
         model = (pinocchio.buildModelFromUrdf if urdf else pinocchio.buildModelFromMJCF)(str(source))
         return model if (model.nq, model.nv) == (robot.nq, robot.nv) else None
     return None
+
+
+def joints_above(robot: kinematics.Robot) -> list[tuple[int, ...]]:
+    """Return the joints between each body and the world, the nearest first.
+
+    Args:
+        robot: the robot.
+    """
+    carried = carriers(robot.topology)
+    above: list[tuple[int, ...]] = []
+    for joint in carried.frame[: len(robot.topology.body_names)]:
+        path = []
+        while joint >= 0:
+            path.append(joint)
+            joint = carried.joint[joint]
+        above.append(tuple(path))
+    return above
+
+
+def tips(robot: kinematics.Robot, least: int = 6) -> list[str]:
+    """Name the last body of each arm: the one with most joints before it, then the next that shares none of them.
+
+    Args:
+        robot: the robot.
+        least: joints that make an arm; the first counts whatever it has.
+
+    Returns:
+        Names of bodies.
+    """
+    above = joints_above(robot)
+    found: list[int] = []
+    taken: set[int] = set()
+    while True:
+        free = [body for body, joints in enumerate(above) if joints and not taken & set(joints)]
+        # The last of equals, farthest out: bodies come in depth-first order.
+        best = max(free, key=lambda body: (len(above[body]), body), default=None)
+        if best is None or (found and len(above[best]) < least):
+            return [robot.topology.body_names[body] for body in found]
+        found.append(best)
+        taken |= set(above[best])

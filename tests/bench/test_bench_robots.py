@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxest import bench, kinematics, models
-from jaxest.bench.robots import subject
+from jaxest.bench.robots import subject, tips
 from jaxest.bench.rollouts import mujoco_rollout, simulated
 
 QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
@@ -14,7 +14,8 @@ QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": Fal
 @pytest.mark.slow
 @pytest.mark.parametrize("peers", [True, False])
 def test_dynamics(peers):
-    found = list(bench.rows("dynamics", peers=peers, small=True))
+    with jax.numpy_rank_promotion("allow"):  # MJX promotes ranks
+        found = list(bench.rows("dynamics", peers=peers, small=True))
     assert all(row.value > 0 for row in found)
     metrics = {row.metric for row in found}
     assert {"forward dynamics", "gradient of forward dynamics", "inverse dynamics", "mass matrix", "rollout"} <= metrics
@@ -51,3 +52,12 @@ def test_inverse_kinematics(peers):
     assert len(shares) >= 3
     assert all(0 <= row.value <= 100 for row in shares)
     assert all(row.value > 0 for row in found if row.metric in ("inverse kinematics", "compile"))
+
+
+def test_tips_of_arms():
+    assert tips(kinematics.load(models.chain(4))) == ["link4"]
+    two = models.chain(7).replace("</worldbody>", "{}</worldbody>")
+    other = (
+        models.chain(6).split("<worldbody>")[1].split("</worldbody>")[0].replace("link", "left").replace("joint", "j")
+    )
+    assert tips(kinematics.load(two.format(other.replace("<j ", "<joint ")))) == ["link7", "left6"]
