@@ -15,6 +15,7 @@ COUNTS = (64, 128, 256, 512, 1024, 2048, 4096, 8192)
 PAPER_ENOUGH = 256.0
 SEEN = (1, 2)  # joints that the IMUs see
 RUNS = 4
+FEW = 2  # of each of the many hyperparameters
 
 
 def particles(choice: Choice, say: Say) -> Section:
@@ -81,7 +82,7 @@ def hyperparameters(choice: Choice, say: Say) -> Section:
 
     Source: Sato 2023, section V-A, items 1, 2, 4 to 6, and its end.
     """
-    runs, seconds = (1, 6.0) if choice.small else (RUNS, arm.SECONDS)
+    runs, seconds = (1, 6.0) if choice.small else (FEW, arm.SECONDS)
     scenes = [arm.scene(choice.seed + i, seconds=seconds) for i in range(runs)]
     usual = arm.system()
     cases = [(name, usual, arm.params(**changes)) for name, changes in variants().items()]
