@@ -136,7 +136,7 @@ def test_unwritable_output(refused, tmp_path, out):
 
 def test_unknown_method(refused, tmp_path):
     write(turning(30), tmp_path / "a.npz")
-    assert "did you mean 'orientation'?" in refused("estimate", "a.npz", "-m", "orientaton")
+    assert "did you mean 'orientation'" in refused("estimate", "a.npz", "-m", "orientaton")
 
 
 def test_unknown_sensor(refused, tmp_path):
