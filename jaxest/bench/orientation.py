@@ -9,15 +9,22 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.bench.harness import Candidate, Progress, Timing, candidate, compare, compile_row, find_peer, race
-from jaxest.filters import last, run
+from jaxest.filters import attitude, last, run
 from jaxest.io.report import Row
 from jaxest.systems import orientation
 
 RATE = 285.714  # Hz, as in the BROAD recordings
+SYSTEMS = {
+    "one filter": orientation.build(),
+    "one filter with covariance": orientation.build(covariance=True),
+    "one attitude.ekf": orientation.build(filter=attitude.ekf),
+    "one attitude.decoupled": orientation.build(filter=attitude.decoupled),
+    "one attitude.madgwick": orientation.build(filter=attitude.madgwick),
+}
 
 
 def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Row]:
-    """Time the passive complementary filter with a magnetometer, float32, with and without its covariance.
+    """Time the filters of one IMU with a magnetometer, float32; the complementary one with and without covariance.
 
     The peer is VQF in C++: another filter for the same sensors, called by the same program on the same samples.
 
@@ -28,12 +35,14 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
 
     Yields:
         The time of one live step called from Python with NumPy readings and waited for; of one sample of one filter
-        when 20 recordings are each filtered with 260 settings at once; and the time to compile either.
+        when 20 recordings are each filtered with 260 settings at once (the attitude filters: 20 recordings with one);
+        and the time to compile either.
     """
     vqf = find_peer("vqf") if peers else None
     missing = "vqf" if peers and vqf is None else ""
     yield from _live(vqf, missing, progress, small)
     yield from _batched(vqf, missing, progress, small)
+    yield from _recordings(vqf, missing, progress, small)
 
 
 def _live(vqf: Any, missing: str, progress: Progress, small: bool) -> Iterable[Row]:
@@ -42,8 +51,7 @@ def _live(vqf: Any, missing: str, progress: Progress, small: bool) -> Iterable[R
     samples = _samples(jax.random.key(0), count)
     one = [jax.tree.map(lambda x, i=i: x[i], samples) for i in range(count)]
     candidates = []
-    for name, covariance in (("live", False), ("live with covariance", True)):
-        system = orientation.build(covariance=covariance)
+    for name, system in SYSTEMS.items():
         step = jax.jit(system.step)
         params = jax.tree.map(jnp.float32, system.default_params)  # on the device, where a live loop keeps them
         state = system.init(params)
@@ -54,9 +62,9 @@ def _live(vqf: Any, missing: str, progress: Progress, small: bool) -> Iterable[R
         candidates.append(Candidate("vqf", partial(_walk_vqf, vqf, samples), count))
     timings = race(candidates, repeats=2 if small else 20)
     peer = _named(timings.get("vqf"), "VQF in C++, update() from Python")
-    for name, condition in (("live", "one filter"), ("live with covariance", "one filter with covariance")):
-        yield compare("live step", f"{condition}, each step waited for", timings[name], peer, missing=missing)
-        yield compile_row(condition, timings[name])
+    for name in SYSTEMS:
+        yield compare("live step", f"{name}, each step waited for", timings[name], peer, missing=missing)
+        yield compile_row(name, timings[name])
 
 
 def _batched(vqf: Any, missing: str, progress: Progress, small: bool) -> Iterable[Row]:
@@ -85,6 +93,31 @@ def _batched(vqf: Any, missing: str, progress: Progress, small: bool) -> Iterabl
     peer = _named(timings.get("vqf"), "VQF in C++, updateBatch()")
     yield compare("batched step", condition, timings["batched"], peer, unit="ns", missing=missing)
     yield compile_row(f"{trials} x {settings}, {length} samples", timings["batched"])
+
+
+def _recordings(vqf: Any, missing: str, progress: Progress, small: bool) -> Iterable[Row]:
+    trials, length = (2, 10) if small else (20, 1000)
+    progress(f"attitude filters, {trials} recordings")
+    samples = jax.vmap(lambda key: _samples(key, length))(jax.random.split(jax.random.key(2), trials))
+    candidates = []
+    for name in ("one attitude.ekf", "one attitude.decoupled", "one attitude.madgwick"):
+        system = SYSTEMS[name]
+        params = jax.tree.map(jnp.float32, system.default_params)
+
+        def final(params: Any, measurements: Any, system: Any = system) -> Any:
+            return run(system.step, params, system.init(params), measurements, history=last)[1].quaternion
+
+        every = jax.jit(jax.vmap(final, in_axes=(None, 0)))
+        candidates.append(candidate(name, every, params, samples, items=trials * length))
+    if vqf is not None:
+        long = jax.tree.map(lambda x: np.asarray(x, np.float64).reshape(trials * length, *x.shape[2:]), samples)
+        candidates.append(Candidate("vqf", partial(_batch_vqf, vqf, long), trials * length))
+    timings = race(candidates, repeats=2 if small else 5)
+    peer = _named(timings.get("vqf"), "VQF in C++, updateBatch()")
+    for each in candidates[:3]:
+        condition = f"{each.name.removeprefix('one ')}, {trials} recordings at once, per sample"
+        yield compare("batched step", condition, timings[each.name], peer, unit="ns", missing=missing)
+        yield compile_row(condition, timings[each.name])
 
 
 def _samples(key: jax.Array, count: int) -> Any:
