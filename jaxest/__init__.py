@@ -19,6 +19,7 @@ __version__ = "0.0.1"
 
 _SUBMODULES = (
     "bench",
+    "calibration",
     "distributions",
     "filters",
     "io",

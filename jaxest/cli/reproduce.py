@@ -19,7 +19,7 @@ EXAMPLES = (
 
 @command
 def run(
-    paper: Annotated[str, typer.Argument(help="The paper: sato2023.")],
+    paper: Annotated[str, typer.Argument(help="The paper, as in sato2023.")],
     part: Annotated[
         list[str] | None, typer.Option("--part", help="Only this figure; may be given several times.")
     ] = None,
@@ -28,6 +28,15 @@ def run(
     small: Annotated[
         bool, typer.Option("--small", help="Tiny sizes, to see that it runs; the figures mean nothing.")
     ] = False,
+    runs: Annotated[int | None, typer.Option(help="Monte-Carlo runs of each condition.")] = None,
+    row: Annotated[
+        list[str] | None, typer.Option("--rows", help="Only this row of the table; may be given several times.")
+    ] = None,
+    setting: Annotated[str | None, typer.Option(help="One of the paper's data settings.")] = None,
+    broad: Annotated[Path | None, typer.Option(help="Folder with the BROAD trials, to measure on them too.")] = None,
+    work: Annotated[
+        Path | None, typer.Option(help="Folder that keeps finished runs; the same command goes on from there.")
+    ] = None,
     show: Annotated[bool, typer.Option("--list", help="Name the parts and leave.")] = False,
     force: Force = False,
     json: Json = False,
@@ -44,10 +53,11 @@ def run(
         console().print("\n".join(reproduce.parts(paper)))
         return Answer()
     folder = _folder(out, [f"{name}.png" for name in names], force) if out else None
+    choice = reproduce.Choice(seed, small, runs, tuple(row or ()), setting, broad, work)
     rows: list[Row] = []
     begun = time.perf_counter()
     with working(f"{paper} ...") as say:
-        for section in reproduce.sections(paper, names, choice=reproduce.Choice(seed, small), say=say):
+        for section in reproduce.sections(paper, names, choice=choice, say=say):
             rows += [row._replace(metric=f"{section.name}: {row.metric}") for row in section.rows]
             if folder and section.draw:
                 folder.mkdir(parents=True, exist_ok=True)

@@ -3,6 +3,8 @@
 `parts(paper)` names what a paper has, `sections(paper)` computes it, one `Section` after the other. Each paper is a
 subpackage here with a table `PARTS`.
 
+A paper whose parts take more than a seed says so in a tuple `TAKES` of the names of `Choice`'s fields.
+
 Host side only. Not here: the estimators themselves (`jaxest.systems`), timings (`jaxest.bench`), and the command
 (`jaxest.cli.reproduce`).
 """
@@ -26,6 +28,20 @@ class Choice(NamedTuple):
     seed: int = 0
     small: bool = False
     """Tiny sizes, to see that it runs; the figures mean nothing."""
+    runs: int | None = None
+    """Monte-Carlo runs of each condition; the part's own number if None."""
+    rows: Sequence[str] = ()
+    """Rows of a table to compute; all if empty."""
+    setting: str | None = None
+    """One of the paper's data settings; the paper's module names the default."""
+    broad: Path | None = None
+    """Folder with the BROAD trials, where the paper's filters are measured on them."""
+    work: Path | None = None
+    """Folder where finished runs are kept, so that a stopped run goes on from there; kept nowhere if None."""
+
+
+COMMON = ("seed", "small")
+"""Fields of `Choice` that every paper takes."""
 
 
 class Section(NamedTuple):
@@ -78,16 +94,29 @@ def sections(
         One section after the other.
 
     Raises:
-        InputError: no such paper or part.
+        InputError: no such paper or part, or a choice that the paper does not take.
     """
     known = parts(paper)
     for name in names:
         if name not in known:
             raise unknown_name(f"part of {paper}", name, known)
+    choice = choice or Choice()
+    _check(paper, choice)
     for name in names or known:
         tell = say or (lambda message: None)
         tell(f"{paper}: {name} ...")
-        yield known[name](choice or Choice(), tell)
+        yield known[name](choice, tell)
 
 
-__all__ = ["COMING", "PAPERS", "Choice", "Part", "Say", "Section", "parts", "sections"]
+def _check(paper: str, choice: Choice) -> None:
+    """Refuse what this paper has no use for, rather than ignore it."""
+    takes = (*COMMON, *getattr(importlib.import_module(PAPERS[paper]), "TAKES", ()))
+    given = [name for name, value in choice._asdict().items() if value != Choice._field_defaults[name]]
+    for name in given:
+        if name not in takes:
+            raise InputError(f"--{name}: {paper} has no such choice; it takes {', '.join('--' + t for t in takes)}")
+    if choice.runs is not None and choice.runs < 1:
+        raise InputError(f"--runs: got {choice.runs}, expected at least 1")
+
+
+__all__ = ["COMING", "COMMON", "PAPERS", "Choice", "Part", "Say", "Section", "parts", "sections"]
