@@ -24,6 +24,7 @@ _SUBMODULES = (
     "filters",
     "io",
     "kinematics",
+    "live",
     "manifolds",
     "metrics",
     "models",

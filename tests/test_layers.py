@@ -24,6 +24,7 @@ LAYERS = [
     "tuning",
     "io",
     "viz",
+    "live",
     "bench",
     "reproduce",
     "cli",

@@ -23,6 +23,7 @@ CASES = {
     "inverse_kinematics": "jaxest.bench.inverse_kinematics",
     "kalman": "jaxest.bench.kalman",
     "kinematics": "jaxest.bench.kinematics",
+    "live": "jaxest.bench.live",
     "logs": "jaxest.bench.logs",
     "onsite": "jaxest.bench.onsite",
     "orientation": "jaxest.bench.orientation",

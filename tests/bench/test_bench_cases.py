@@ -52,6 +52,15 @@ def test_logs(peers):
     assert all(row.value > 0 for row in memory)
 
 
+def test_live():
+    within, *steps, lost, grown = bench.rows("live", small=True)
+    assert within.n == 500
+    assert 0 <= within.value <= 100
+    assert [row.value for row in steps] == sorted(row.value for row in steps)
+    assert lost.value == 0
+    assert grown.unit == "MiB"
+
+
 def test_onsite():
     rows = list(bench.rows("onsite", small=True))
     assert [row.metric for row in rows] == ["live step", "compile", "batched step", "compile"]

@@ -1,0 +1,151 @@
+"""Live use: the deflection filter fed by another process through a UDP port at 1 kHz, each step on the clock.
+
+It runs in a process of its own, with one thread for XLA (`NPROC=1`): handing the small kernels of a single robot from
+thread to thread costs more than it saves, and one that waits for a busy core is what makes the slowest steps.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxest import kinematics, live, models
+from jaxest.bench.deflection import SENSORS
+from jaxest.bench.harness import Progress
+from jaxest.io.report import Row
+from jaxest.systems import deflection
+
+RATE_HZ, DEADLINE, PARTICLES = 1000, 1e-3, 64
+SECONDS = 20.0
+WARM = 0.2  # share of a run behind which memory may grow no more
+
+SENDER = """
+import json, socket, sys, time
+host, port, rate, lines = sys.argv[1], int(sys.argv[2]), float(sys.argv[3]), sys.stdin.read().splitlines()
+count = int(sys.argv[4])
+values = [json.loads(line) for line in lines]
+out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+begun = time.perf_counter()
+for i in range(count):
+    line = json.dumps({"time": i / rate, **values[i % len(values)]}).encode()
+    pause = begun + i / rate - time.perf_counter()
+    if pause > 0:
+        time.sleep(pause)
+    out.sendto(line, (host, port))
+time.sleep(0.2)
+out.sendto(b"", (host, port))
+"""
+
+
+class Fed(NamedTuple):
+    """A live run and the memory of its process."""
+
+    outcome: live.Outcome
+    sent: int
+    grown: float
+    """MiB, how much the peak of the process rose behind the first fifth of the run."""
+
+
+def rows(*, peers: bool, progress: Progress, small: bool = False, seconds: float = SECONDS) -> Iterable[Row]:
+    """Run the packaged arm's filter live.
+
+    Args:
+        peers: not used; nobody else's filter stands beside it.
+        progress: hears what is being measured.
+        small: half a second.
+        seconds: of the run.
+
+    Yields:
+        Share of steps within 1 ms, quantiles of a step's time, samples that never arrived, growth of memory.
+    """
+    del peers
+    seconds = 0.5 if small else seconds
+    progress(f"live, {seconds:.0f} s")
+    words = [sys.executable, "-m", "jaxest.bench.live", repr(seconds)]
+    done = subprocess.run(words, env={**os.environ, "NPROC": "1"}, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise RuntimeError(f"the live process failed:\n{done.stderr}")
+    yield from (Row(**one) for one in json.loads(done.stdout.splitlines()[-1]))
+
+
+def measured(seconds: float) -> Iterable[Row]:
+    """Run live in this process and make the rows of `rows`."""
+    found = fed(seconds)
+    step, n = found.outcome.latency, found.outcome.steps
+    where = f"arm of 4 joints, 4 sensors, guided, {PARTICLES} particles, {RATE_HZ} Hz by UDP for {seconds:.4g} s"
+    yield Row("steps within 1 ms", where, 100 * (1 - found.outcome.missed / max(n, 1)), "%", n=n)
+    for share in (0.5, 0.99, 0.999):
+        yield Row(f"step, {100 * share:g} %", where, step.quantile(share) * 1e6, "us", n=n)
+    yield Row("step, longest", where, step.longest * 1e6, "us", n=n)
+    yield Row("samples that never arrived", where, float(found.sent - n - found.outcome.late), "1", n=found.sent)
+    yield Row("growth of memory", f"{where}, behind the first fifth", found.grown, "MiB")
+
+
+def fed(seconds: float, particles: int = PARTICLES) -> Fed:
+    """Start a sender and drive the filter until it ends.
+
+    Args:
+        seconds: how long.
+        particles: number N.
+
+    Returns:
+        The run.
+    """
+    robot = kinematics.load(models.path("arm"))
+    system = deflection.build(robot, SENSORS, particles=particles, proposal=deflection.guided)
+    params = jax.tree.map(jnp.float32, system.default_params)
+    key = jax.random.key(0)
+    measurements, _ = jax.jit(lambda key: system.simulate(params, key=key, steps=RATE_HZ))(key)
+    measurements = jax.tree.map(np.asarray, measurements)
+    template = jax.tree.map(lambda x: x[0], measurements)
+    count, peaks = round(seconds * RATE_HZ), []
+    at = {round(WARM * count), count - 1}
+    tick = iter(range(count))
+
+    def emit(time: float, info: Any) -> None:
+        if next(tick) in at:
+            peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+
+    senders = []
+
+    def start(address: tuple[str, int]) -> None:
+        words = [sys.executable, "-c", SENDER, address[0], str(address[1]), str(RATE_HZ), str(count)]
+        sender = subprocess.Popen(words, stdin=subprocess.PIPE, text=True)
+        assert sender.stdin
+        sender.stdin.write(_lines(measurements))
+        sender.stdin.close()
+        senders.append(sender)
+
+    source = live.from_udp(0, ready=start)
+    outcome = live.drive(system.step, params, system.init(params, key=key), source, template, key=key,
+                         deadline=DEADLINE, emit=emit)  # fmt: skip
+    for sender in senders:
+        sender.wait()
+    unit = 2**10 if sys.platform == "linux" else 2**20
+    return Fed(outcome, count, (peaks[-1] - peaks[0]) / unit if len(peaks) > 1 else 0.0)
+
+
+def _lines(measurements: Any) -> str:
+    """One line of JSON a step, null where a sensor was silent."""
+    from jaxest.live.measure import fields
+
+    names = fields(measurements)
+
+    def value(reading: Any, i: int) -> Any:
+        return reading.value[i].tolist() if np.all(reading.valid[i]) else None
+
+    length = len(measurements.dt)
+    return "\n".join(json.dumps({n: value(getattr(measurements, n), i) for n in names}) for i in range(length))
+
+
+__all__ = ["Fed", "fed", "measured", "rows"]
+
+if __name__ == "__main__":
+    print(json.dumps([row._asdict() for row in measured(float(sys.argv[1]))]))  # noqa: T201

@@ -1,0 +1,30 @@
+"""Live use: samples from a queue, a UDP port or a growing file through an estimator's step, each within its deadline.
+
+Start with `drive(step, params, state, source, template)`; a source is `from_queue`, `from_udp` or `from_file`, or any
+iterator of `Sample`s. Late samples are refused and counted, absent ones are masked, the state is saved on the way, at
+the end and when something fails, and `Outcome.latency` is the histogram of what each step took.
+
+Host side only. Not here: the estimators (`jaxest.systems`), and recorded logs, for which `jaxest.filters.run` is the
+faster way.
+"""
+
+from jaxest.live.keeper import Checkpoint, resume
+from jaxest.live.latency import Latency
+from jaxest.live.loop import Outcome, drive
+from jaxest.live.measure import measurement_of
+from jaxest.live.sources import IDLE, Sample, from_file, from_queue, from_udp, parse
+
+__all__ = [
+    "IDLE",
+    "Checkpoint",
+    "Latency",
+    "Outcome",
+    "Sample",
+    "drive",
+    "from_file",
+    "from_queue",
+    "from_udp",
+    "measurement_of",
+    "parse",
+    "resume",
+]

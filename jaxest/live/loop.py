@@ -1,0 +1,193 @@
+"""The loop of live use: take a sample, step, look at the clock."""
+
+import contextlib
+import gc
+import signal
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+
+from jaxest.live import latency as lat
+from jaxest.live.keeper import Keeper
+from jaxest.live.measure import fields, measurement_of
+from jaxest.live.sources import Sample, Source
+from jaxest.types import Array, InputError, PyTree, Step
+
+KEPT = 5  # messages
+
+
+class Outcome(NamedTuple):
+    """How a live run went."""
+
+    state: PyTree
+    """After the last step; the checkpoint holds the same."""
+    time: float | None
+    """s, stamp of the last sample that was used; None where there was none."""
+    steps: int
+    """Samples used."""
+    missed: int
+    """Steps that took longer than the deadline."""
+    late: int
+    """Samples refused because their stamp was not after the one before."""
+    broken: int
+    """Samples refused because they could not be read, or had unknown streams or other shapes."""
+    masked: dict[str, int]
+    """By stream, steps in which it had nothing usable to say."""
+    latency: lat.Latency
+    """From a sample at hand to its estimate being there."""
+    messages: tuple[str, ...]
+    """The first few about what was refused, and why a checkpoint could not be written."""
+    ended: str
+    """`the source ended`, `interrupted` or `enough`."""
+
+
+def drive(
+    step: Step,
+    params: PyTree,
+    state: PyTree,
+    source: Source,
+    template: PyTree,
+    *,
+    key: Array | None = None,
+    deadline: float = 1e-3,
+    emit: Callable[[float, Any], None] | None = None,
+    last: float | None = None,
+    save: Path | str | None = None,
+    save_every: float = 10.0,
+    limit: int | None = None,
+) -> Outcome:
+    """Step through samples as they come, until the source ends, Ctrl-C or SIGTERM.
+
+    The step is compiled before the first sample is taken. A sample whose stamp is not after the one before is refused
+    and counted; so is one that cannot be read. A step beyond its deadline is counted and used all the same: skipping it
+    would lose a measurement. Numbers are those of `jaxest.filters.run` on the same measurements.
+
+    Args:
+        step: an estimator's step.
+        params: its parameters.
+        state: where to begin: `init(params)`, or `resume(path, init(params)).state`.
+        source: samples, as `from_queue`, `from_udp` and `from_file` yield them.
+        template: a measurement of the step, NumPy arrays of the right shapes and dtypes.
+        key: key of the whole run, for steps that draw.
+        deadline: s, for a step.
+        emit: called with the stamp (s) and the info of each step, behind the clock.
+        last: s, stamp of the last sample in `state`, where the run goes on from a checkpoint.
+        save: file for checkpoints, replaced each time, whole or not at all; written every `save_every` seconds beside
+            the loop, and at the end, whatever ends it. A checkpoint that cannot be written does not stop the loop.
+        save_every: s.
+        limit: number of samples after which to stop.
+
+    Returns:
+        The outcome.
+
+    Raises:
+        ValueError: a deadline that is not positive.
+    """
+    if not deadline > 0:
+        raise ValueError(f"deadline: got {deadline}, expected seconds above 0")
+    compiled = jax.jit(lambda params, state, measurement: step(params, state, measurement, key=key))
+    params, state = jax.device_put((params, state))
+    nothing = measurement_of(template, Sample(0.0, {}), 0.0)
+    state = jax.tree.map(lambda x, like: x.astype(like.dtype) if hasattr(x, "astype") else x, state,
+                         jax.block_until_ready(compiled(params, state, nothing))[0])  # fmt: skip
+    jax.block_until_ready(compiled(params, state, nothing))
+    tally = _Tally(state, last)
+    keeper = Keeper(save, save_every)
+    try:
+        with _stoppable() as stopped, _undisturbed():
+            ended = _loop(compiled, params, source, template, tally, deadline, emit, keeper, stopped, limit)
+    finally:
+        keeper.close()
+    if keeper.failure:
+        tally.say(f"no checkpoint: {keeper.failure}")
+    return Outcome(
+        tally.state, tally.time, tally.steps, tally.missed, tally.late, tally.broken, dict(tally.masked),
+        tally.latency, tuple(tally.messages), ended,
+    )  # fmt: skip
+
+
+class _Tally:
+    """What the loop counts; lives inside `drive` only."""
+
+    def __init__(self, state: PyTree, time: float | None) -> None:
+        self.state, self.time = state, time
+        self.steps = self.missed = self.late = self.broken = 0
+        self.masked: Counter[str] = Counter()
+        self.latency = lat.empty()
+        self.messages: list[str] = []
+
+    def say(self, message: str) -> None:
+        if len(self.messages) < KEPT:
+            self.messages.append(message)
+
+
+def _loop(
+    compiled: Any, params: PyTree, source: Source, template: PyTree, tally: _Tally, deadline: float,
+    emit: Any, keeper: Keeper, stopped: threading.Event, limit: int | None,
+) -> str:  # fmt: skip
+    names = fields(template)
+    for item in source:
+        if stopped.is_set():
+            return "interrupted"
+        if isinstance(item, str):
+            tally.broken += 1
+            tally.say(item)
+        if not isinstance(item, Sample):
+            continue
+        begun = time.perf_counter()
+        if tally.time is not None and not item.time > tally.time:
+            tally.late += 1
+            tally.say(f"sample at {item.time:.6f} s: not after the one before, {tally.time:.6f} s; refused as late")
+            continue
+        try:
+            measurement = measurement_of(template, item, 0.0 if tally.time is None else item.time - tally.time)
+        except InputError as error:
+            tally.broken += 1
+            tally.say(str(error))
+            continue
+        tally.state, info = jax.block_until_ready(compiled(params, tally.state, measurement))
+        took = time.perf_counter() - begun
+        tally.time, tally.steps = item.time, tally.steps + 1
+        tally.latency = lat.counted(tally.latency, took)
+        tally.missed += took > deadline
+        tally.masked.update(name for name in names if not getattr(measurement, name).valid.all())
+        keeper.offer(tally.state, item.time)
+        if emit:
+            emit(item.time, info)
+        if limit is not None and tally.steps >= limit:
+            return "enough"
+    return "the source ended"
+
+
+@contextlib.contextmanager
+def _stoppable() -> Iterator[threading.Event]:
+    """Turn Ctrl-C and SIGTERM into an event that the loop looks at; only a main thread hears signals."""
+    event = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield event
+        return
+    before = {number: signal.signal(number, lambda *_: event.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield event
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Keep the garbage collector off what was there before: its full passes take milliseconds."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+
+
+__all__ = ["Outcome", "drive"]

@@ -1,0 +1,62 @@
+"""From a sample to the measurement of an estimator's step."""
+
+from typing import Any
+
+import numpy as np
+
+from jaxest.live.sources import Sample
+from jaxest.types import InputError, PyTree, Reading, unknown_name
+
+
+def fields(template: PyTree) -> tuple[str, ...]:
+    """Return which streams a measurement takes: the names of its `Reading`s.
+
+    Args:
+        template: a measurement (NamedTuple) with values of the right shapes.
+
+    Returns:
+        Names in the measurement's order.
+    """
+    return tuple(name for name in template._fields if isinstance(getattr(template, name), Reading))
+
+
+def measurement_of(template: PyTree, sample: Sample, dt: float) -> PyTree:
+    """Put a sample into a measurement; a stream that is absent, null or not finite is masked.
+
+    Args:
+        template: a measurement of the step, NumPy arrays of the right shapes and dtypes; its other fields are kept.
+        sample: the sample; streams that the measurement does not take are an error.
+        dt: s, since the step before.
+
+    Returns:
+        The measurement, NumPy arrays.
+
+    Raises:
+        InputError: a stream is unknown (the closest name is given) or has another shape.
+    """
+    known = fields(template)
+    for name in sample.values:
+        if name not in known:
+            raise InputError(f"sample at {sample.time:.6f} s: {unknown_name('stream', name, known)}")
+    readings = {name: _reading(getattr(template, name), sample.values.get(name), name, sample.time) for name in known}
+    return template._replace(**readings, dt=np.asarray(dt, np.asarray(template.dt).dtype))
+
+
+def _reading(like: Reading, value: Any, name: str, stamp: float) -> Reading:
+    expected, valid = np.asarray(like.value), np.asarray(like.valid)
+    if value is None:
+        return Reading(np.zeros_like(expected), np.zeros_like(valid, bool))  # type: ignore[arg-type]
+    try:
+        with np.errstate(over="ignore"):  # too large for the dtype: not finite, hence masked
+            found = np.asarray(value, expected.dtype)
+    except (ValueError, TypeError, OverflowError):
+        found = None
+    if found is None or found.shape != expected.shape:
+        came = "ragged or no numbers" if found is None else f"shape {found.shape}"
+        raise InputError(f"sample at {stamp:.6f} s: stream {name!r} is of {came}, expected {expected.shape}")
+    finite = np.isfinite(found)
+    there = finite.all(axis=tuple(range(valid.ndim, found.ndim)))
+    return Reading(np.where(finite, found, 0), np.asarray(there, bool))  # type: ignore[arg-type]
+
+
+__all__ = ["fields", "measurement_of"]

@@ -1,0 +1,201 @@
+"""Where live samples come from: a queue of this process, a UDP port, a file that grows.
+
+A source is an iterator of `Sample`s that ends when there will be no more. It yields `IDLE` when nothing came for a
+while, so that whoever listens can look around, and a text where something came that is no sample.
+
+On the wire and in files a sample is one line of JSON: the stamp `time` in seconds, and a number, a list of numbers or
+null (nothing to say) for each stream: `{"time": 12.5, "gyroscope": [0.1, 0, 0], "accelerometer": [0, 0, 9.81]}`.
+"""
+
+import contextlib
+import json
+import math
+import queue
+import socket
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxest.types import InputError
+
+LARGEST = 65535  # bytes of a datagram
+LONGEST = 2**20  # characters of a line that is still to end
+
+
+class Sample(NamedTuple):
+    """What sensors said at one time."""
+
+    time: float
+    """s, on the sender's clock."""
+    values: Mapping[str, Any]
+    """By stream, in SI units: a number, nested lists or an array; None where a sensor had nothing to say."""
+
+
+IDLE = None
+"""Yielded where nothing came within the waiting time."""
+
+Source = Iterator[Sample | str | None]
+
+
+def parse(line: str | bytes, place: str = "sample") -> Sample:
+    """Read one line of JSON.
+
+    Args:
+        line: the line.
+        place: where it came from, for messages.
+
+    Returns:
+        The sample.
+
+    Raises:
+        InputError: not a JSON object, no finite stamp `time`, or a stream that is not made of numbers.
+    """
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"{place}: not a line of JSON ({error}); expected {{'time': seconds, 'STREAM': [...]}}"
+        ) from None
+    if not isinstance(found, dict):
+        raise InputError(f"{place}: a JSON {type(found).__name__}, expected an object with 'time' and streams")
+    stamp = found.pop("time", None)
+    if isinstance(stamp, bool) or not isinstance(stamp, int | float) or not math.isfinite(stamp):
+        raise InputError(f"{place}: 'time' is {stamp!r}, expected a finite number of seconds")
+    for name, value in found.items():
+        if value is not None and not _numbers(value):
+            raise InputError(f"{place}: stream {name!r} is {json.dumps(value)[:60]}, expected numbers or null")
+    return Sample(float(stamp), found)
+
+
+def _numbers(value: Any, depth: int = 0) -> bool:
+    if isinstance(value, list):
+        return depth < 4 and all(_numbers(entry, depth + 1) for entry in value)
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def from_queue(
+    samples: "queue.SimpleQueue[Sample | None] | queue.Queue[Sample | None]", *, wait: float = 0.1
+) -> Source:
+    """Take samples that another thread puts into a queue.
+
+    Args:
+        samples: the queue; None in it ends the source.
+        wait: s, between two `IDLE`s while the queue is empty.
+
+    Yields:
+        The samples, `IDLE` where none came.
+    """
+    while True:
+        try:
+            sample = samples.get(timeout=wait)
+        except queue.Empty:
+            yield IDLE
+            continue
+        if sample is None:
+            return
+        yield sample
+
+
+def from_udp(port: int, host: str = "127.0.0.1", *, wait: float = 0.1, ready: Any = None) -> Source:
+    """Listen on a UDP port, one datagram a sample; an empty datagram ends the source.
+
+    Anybody who reaches the port can send: bind it to an address that only the robot reaches.
+
+    Args:
+        port: to listen on; 0 takes a free one.
+        host: address to bind.
+        wait: s, between two `IDLE`s while nothing comes.
+        ready: called with `(host, port)` once it listens.
+
+    Yields:
+        Samples; a text for a datagram that is none; `IDLE` where none came.
+
+    Raises:
+        InputError: the port cannot be opened.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        try:
+            listener.bind((host, port))
+        except (OSError, OverflowError) as error:
+            raise InputError(f"udp {host}:{port}: cannot listen ({error}); choose another port") from error
+        listener.settimeout(wait)
+        if ready:
+            ready(listener.getsockname())
+        while True:
+            try:
+                datagram, sender = listener.recvfrom(LARGEST)
+            except TimeoutError:
+                yield IDLE
+                continue
+            if not datagram:
+                return
+            yield _sample_or_text(datagram, f"datagram from {sender[0]}:{sender[1]}")
+
+
+def from_file(path: Path | str, *, follow: bool = True, wait: float = 0.005) -> Source:
+    """Read a file of JSON lines, and go on as it grows.
+
+    A line counts once its end is written. A file that is cut short or replaced is read again from its start.
+
+    Args:
+        path: the file; it may not exist yet if it is followed.
+        follow: whether to wait for more at its end; otherwise the source ends there.
+        wait: s, between two looks at its end.
+
+    Yields:
+        Samples; a text for a line that is none; `IDLE` where there is no new line.
+
+    Raises:
+        InputError: there is no such file and it is not followed, or it cannot be read.
+    """
+    path, number, rest, place = Path(path), 0, b"", None
+    file = None
+    with contextlib.ExitStack() as stack:
+        while True:
+            if file is None or _replaced(path, file, place):
+                try:
+                    file = stack.enter_context(path.open("rb"))
+                    place, number, rest = path.stat().st_ino, 0, b""
+                except FileNotFoundError:
+                    if not follow:
+                        raise InputError(f"{path}: no such file") from None
+                    yield IDLE
+                    time.sleep(wait)
+                    continue
+                except OSError as error:
+                    raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+            piece = file.read(1 << 16)
+            *lines, rest = (rest + piece).split(b"\n")
+            for line in lines:
+                number += 1
+                if line.strip():
+                    yield _sample_or_text(line, f"{path}: line {number}")
+            if len(rest) > LONGEST:
+                raise InputError(f"{path}: line {number + 1} has over {LONGEST} characters, expected JSON lines")
+            if not piece:
+                if not follow:
+                    if rest.strip():
+                        yield _sample_or_text(rest, f"{path}: line {number + 1}")
+                    return
+                yield IDLE
+                time.sleep(wait)
+
+
+def _replaced(path: Path, file: Any, inode: int | None) -> bool:
+    """Whether the file at this path is another one by now, or shorter than what was read of it."""
+    try:
+        found = path.stat()
+    except OSError:
+        return False
+    return found.st_ino != inode or found.st_size < file.tell()
+
+
+def _sample_or_text(line: bytes, place: str) -> Sample | str:
+    try:
+        return parse(line, place)
+    except InputError as error:
+        return str(error)
+
+
+__all__ = ["IDLE", "Sample", "Source", "from_file", "from_queue", "from_udp", "parse"]
