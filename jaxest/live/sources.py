@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 from jaxest.types import InputError
 
 LARGEST = 65535  # bytes of a datagram
+BUFFER = 2**22  # bytes that the system may hold while a step takes long; it grants what it allows
 LONGEST = 2**20  # characters of a line that is still to end
 
 
@@ -119,6 +120,7 @@ def from_udp(port: int, host: str = "127.0.0.1", *, wait: float = 0.1, ready: An
             listener.bind((host, port))
         except (OSError, OverflowError) as error:
             raise InputError(f"udp {host}:{port}: cannot listen ({error}); choose another port") from error
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
         listener.settimeout(wait)
         if ready:
             ready(listener.getsockname())
