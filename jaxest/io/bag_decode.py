@@ -13,6 +13,7 @@ from jaxest.io.extras import need
 from jaxest.types import InputError
 
 _MANY, _LARGE = 4096, 2**22  # messages or bytes of a topic that are decoded at once
+_LATEST = 2**62  # ns, 146 years; later ones are damage
 NS = 10**9
 
 
@@ -82,6 +83,8 @@ def collect(path: Path, messages: Messages, channels: Channels) -> Bag:
     count, last, broken = 0, 0, ""
     try:
         for key, stamp, raw in messages:
+            if not abs(stamp) < _LATEST:
+                raise InputError(f"{path}: message {count} is stamped {stamp} ns, expected a time before {_LATEST} ns")
             if key not in waiting:
                 waiting[key] = _Waiting([], [], [], [0])
             mine = waiting[key]

@@ -121,7 +121,10 @@ def _read(source: str | Path) -> tuple[str, Any]:
 
 def _check_mimics(name: str, text: str) -> None:
     """Refuse a URDF joint that mimics an unknown one: MuJoCo would let it move freely without a word."""
-    root = ElementTree.fromstring(text.encode())
+    try:
+        root = ElementTree.fromstring(text.encode())
+    except ElementTree.ParseError as error:  # MuJoCo's own parser lets more pass
+        raise InputError(f"{name}: not well-formed XML ({error}); expected MJCF or URDF") from None
     joints = [str(joint.get("name")) for joint in root.iter("joint")]
     for joint in root.iter("joint"):
         for mimic in joint.iter("mimic"):
