@@ -85,8 +85,17 @@ def links(robot: Robot, folded: Folded, dtype: Any) -> Links:
 def _forward(planned: Plan, constants: Links, offsets: tuple[Array, Array], q: Array) -> Frames:
     if not planned.frames:
         return Frames(jnp.zeros((0, 3), q.dtype), jnp.zeros((0, 4), q.dtype))
-    position, quaternion = place_frames(planned, joint_poses(planned, constants, q), offsets)
-    return Frames(jnp.stack(position, -1), jnp.stack(quaternion, -1))
+    moved = _by_joint(planned)
+    if _mostly(moved, planned):
+        position, quaternion = place_frames(planned, joint_poses(planned, constants, q), offsets)
+        return Frames(jnp.stack(position, -1), jnp.stack(quaternion, -1))
+    pose = joint_poses(planned._replace(stacked=True), constants, q)
+    if moved:
+        own = _take(Pose(c.split(pose.position), c.split(pose.quaternion)), [planned.rows[i] for i in moved])
+        placed = Pose(*_offset(own, offsets, [planned.frames[i] for i in moved])).stacked()
+        pose = jax.tree.map(lambda *parts: jnp.concatenate(parts), pose, placed)
+    rows = _rows_after(planned, moved)
+    return Frames(take(pose.position, rows), take(pose.quaternion, rows, np.array(c.IDENTITY)))
 
 
 def place_frames(planned: Plan, pose: Pose, offsets: tuple[Array, Array]) -> tuple[c.Vector, c.Quaternion]:
@@ -103,12 +112,22 @@ def place_frames(planned: Plan, pose: Pose, offsets: tuple[Array, Array]) -> tup
     rows, moved = planned.rows, _by_joint(planned)
     if not moved:
         return _take(pose, rows)
-    if 5 * len(moved) > 2 * len(rows) or not planned.kept:  # then all: a frame on its joint comes out the same
+    if _mostly(moved, planned):  # then all: a frame on its joint comes out the same
         return _offset(_take(pose, rows), offsets, planned.frames)
     placed = _offset(_take(pose, [rows[i] for i in moved]), offsets, [planned.frames[i] for i in moved])
     both = jax.tree.map(lambda *parts: jnp.concatenate(parts), pose, Pose(*placed))
+    return _take(both, _rows_after(planned, moved))
+
+
+def _mostly(moved: Sequence[int], planned: Plan) -> bool:
+    """Tell whether so many frames are not their joints' own that all of them are placed alike."""
+    return 5 * len(moved) > 2 * len(planned.rows) or (bool(moved) and not planned.kept)
+
+
+def _rows_after(planned: Plan, moved: Sequence[int]) -> list[int]:
+    """Return where each frame stands when the moved ones follow the joints' own poses."""
     there = {i: len(planned.kept) + place for place, i in enumerate(moved)}
-    return _take(both, [there.get(i, row) for i, row in enumerate(rows)])
+    return [there.get(i, row) for i, row in enumerate(planned.rows)]
 
 
 def _take(pose: Pose, rows: Sequence[int]) -> tuple[c.Vector, c.Quaternion]:

@@ -26,11 +26,15 @@ class Plan(NamedTuple):
     """Where in `kept` the joint of each frame stands, -1 for the world."""
     moved: tuple[bool, ...]
     """Whether each frame is not its joint's frame itself."""
+    stacked: bool = False
+    """Whether the components of each pose are stored together."""
 
     def whole(self) -> "Plan":
-        """Return the same plan with the pose of every joint kept."""
+        """Return the same plan with the pose of every joint kept, by component."""
         every = tuple(range(len(self.order.joint)))
-        return self._replace(kept=every, rows=tuple(row if row < 0 else self.kept[row] for row in self.rows))
+        return self._replace(
+            kept=every, stacked=False, rows=tuple(row if row < 0 else self.kept[row] for row in self.rows)
+        )
 
     @property
     def runs(self) -> tuple[tuple[int, int], ...]:

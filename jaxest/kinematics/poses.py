@@ -40,7 +40,7 @@ def joint_poses(planned: Plan, constants: Links, q: Array) -> Pose:
         q: (nq,).
 
     Returns:
-        The poses that the plan keeps, components (k,).
+        The poses that the plan keeps: components (k,), or (k, 3) and (k, 4) where it wants them stacked.
     """
     return scan_poses(planned, constants, q)
 
@@ -57,7 +57,8 @@ def _joint_poses_jvp(planned: Plan, primals: tuple[Links, Array], tangents: Any)
     order = planned.order
     whole = joint_poses(planned.whole(), constants, q)
     if not order.joint:
-        return whole, whole
+        none = whole.stacked() if planned.stacked else whole
+        return none, none
     zero = jnp.zeros((len(order.joint),), q.dtype)
     rotation, translation = (zero, zero, zero), (zero, zero, zero)
     if not isinstance(q_dot, SymbolicZero):
@@ -71,7 +72,8 @@ def _joint_poses_jvp(planned: Plan, primals: tuple[Links, Array], tangents: Any)
         rotation, translation = c.add(rotation, turned), c.add(translation, shifted)
     twists = rotation, c.add(translation, c.cross(whole.position, rotation))
     pose = jax.tree.map(lambda x: take(x, planned.kept), whole)
-    return pose, _moved(pose, *_running_sum(planned, twists))
+    rate = _moved(pose, *_running_sum(planned, twists))
+    return (pose.stacked(), rate.stacked()) if planned.stacked else (pose, rate)
 
 
 def _moved(pose: Pose, rotation: c.Vector, translation: c.Vector) -> Pose:

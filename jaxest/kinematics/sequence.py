@@ -70,6 +70,13 @@ class Sequence(NamedTuple):
         cuts |= {parent + 1 for i, parent in enumerate(self.parent) if parent != i - 1}
         return tuple(itertools.pairwise(sorted(cuts | {len(self.joint)})))
 
+    def part(self, first: int, end: int) -> "Sequence":
+        """Return some consecutive steps, whose sources and parents mean nothing."""
+        cut = {
+            name: getattr(self, name)[first:end] for name in ("joint", "place", "velocity", "source", "keep", "parent")
+        }
+        return self._replace(**cut)
+
     @property
     def branches(self) -> bool:
         """Whether some step starts from elsewhere than the previous one."""

@@ -12,16 +12,16 @@ from itertools import pairwise
 import jax
 import jax.numpy as jnp
 
-from jaxest.types import Array
+from jaxest.types import Array, ArrayLike
 
 
-def take(array: Array, rows: Sequence[int], missing: float = 0.0) -> Array:
+def take(array: Array, rows: Sequence[int], missing: ArrayLike = 0.0) -> Array:
     """Take rows of an array.
 
     Args:
         array: (n, ...).
         rows: static, which ones, in any order and as often as needed; -1 takes a row of `missing`.
-        missing: what fills such rows.
+        missing: what fills such rows, broadcast to (...).
 
     Returns:
         (len(rows), ...).
@@ -37,7 +37,7 @@ def take(array: Array, rows: Sequence[int], missing: float = 0.0) -> Array:
     parts: list[Array] = []
     for first, end in runs:
         if first < 0:
-            parts.append(jnp.full((end - first, *array.shape[1:]), missing, array.dtype))
+            parts.append(jnp.broadcast_to(jnp.asarray(missing, array.dtype), (end - first, *array.shape[1:])))
             continue
         at = first
         while at < end:
