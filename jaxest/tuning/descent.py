@@ -1,0 +1,219 @@
+"""One step of a descent: any optax optimiser, or a direction such as L-BFGS's with backtracking.
+
+A step evaluates the objective once, at the point on trial. With backtracking it is taken if the objective has fallen
+enough, otherwise a quarter of the step is tried next: no loop inside, so that many starts run in step under `vmap`, and
+the state can be kept and resumed after any evaluation.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from jaxest.types import Array, PyTree
+
+SUFFICIENT = 1e-4
+"""Share of the decrease that the gradient promises which a step must bring (Armijo)."""
+
+
+class Method(NamedTuple):
+    """An optimiser; static, hashed by identity. Build it once."""
+
+    transform: optax.GradientTransformation
+    backtrack: bool = False
+    """Whether a step must bring the objective down; only for objectives without noise, and for `lbfgs`'s transform."""
+    longest: float = 1.0
+    """Longest step; of logarithms, a factor e."""
+    tolerance: float = 1e-4
+    """Step, of logarithms a relative change, below which a start has converged; only with backtracking."""
+    decrease: float = 1e-7
+    """Share of the objective, such that a start has converged where its next step promises no larger decrease and its
+    gradient is below `FLAT`; only with backtracking."""
+
+
+FLAT = 1e-5
+"""Gradient, as a share of the objective per unit, above which a small promise is a badly scaled step."""
+
+
+def lbfgs(memory: int = 10, *, longest: float = 1.0, tolerance: float = 1e-4, decrease: float = 1e-7) -> Method:
+    """Return L-BFGS with backtracking, for objectives without noise.
+
+    Where the objective is not convex along the last step, or its direction promises nothing though there is a slope
+    (plateaus, which a logarithm has where its parameter no longer matters), the next is the longest one downhill.
+
+    Args:
+        memory: pairs of steps and gradient differences that are kept.
+        longest: longest step.
+        tolerance: step below which a start has converged.
+        decrease: promised decrease below which it has, as a share of the objective.
+
+    Returns:
+        The method.
+
+    Source: Liu, Nocedal 1989, as optax has it.
+    """
+    return Method(optax.scale_by_lbfgs(memory), True, longest, tolerance, decrease)
+
+
+def adam(rate: Any = 0.05, *, longest: float = 1.0) -> Method:
+    """Return Adam, for mini-batches and for objectives that are drawn.
+
+    Args:
+        rate: learning rate, or an optax schedule.
+        longest: longest step.
+
+    Returns:
+        The method.
+    """
+    return Method(optax.chain(optax.scale_by_adam(b2=0.99), optax.scale_by_learning_rate(rate, flip_sign=False)),
+                  longest=longest)  # fmt: skip
+
+
+class State(NamedTuple):
+    """What the next step needs; the checkpoint of a tuning."""
+
+    trial: Array
+    """(n,) where the objective is evaluated next."""
+    point: Array
+    """(n,) the last point taken."""
+    value: Array
+    """() objective there; infinite before the first."""
+    gradient: Array
+    """(n,) there."""
+    direction: Array
+    """(n,) of the step on trial."""
+    share: Array
+    """() length of that step as a share of the direction."""
+    memory: PyTree
+    """The optimiser's."""
+    average: Array
+    """(n,) mean of the points of the later half of a descent without backtracking."""
+    converged: Array
+    """() bool."""
+    index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
+    """() int32, evaluations."""
+
+
+class Info(NamedTuple):
+    """One evaluation."""
+
+    value: Array
+    """() objective on trial."""
+    gradient: Array
+    """(n,) there."""
+    point: Array
+    """(n,) the trial."""
+    taken: Array
+    """() bool, whether it became the point."""
+
+
+ValueAndGradient = Callable[[Array], tuple[Array, Array]]
+"""`z (n,) -> (), (n,)`."""
+
+
+def init(method: Method, z: Array) -> State:
+    """Return the state before the first evaluation, which is at `z` (n,)."""
+    zero, no = jnp.zeros_like(z), jnp.zeros((), z.dtype)
+    return State(z, z, no + jnp.inf, zero, zero, no, method.transform.init(z), zero, jnp.zeros((), bool), jnp.int32(0))
+
+
+def step(method: Method, evaluate: ValueAndGradient, state: State) -> tuple[State, Info]:
+    """Evaluate the trial, take it or not, and choose the next.
+
+    Args:
+        method: the optimiser, static.
+        evaluate: objective and gradient.
+        state: as `init` or the previous step returned it.
+
+    Returns:
+        The next state, and what was found. A value that is not finite is never taken.
+    """
+    value, gradient = evaluate(state.trial)
+    finite = jnp.isfinite(value) & jnp.all(jnp.isfinite(gradient))
+    slope = jnp.sum(state.gradient * state.direction) * state.share
+    # Rounding makes the last steps of a descent look uphill by a few eps.
+    slack = 4 * jnp.finfo(value.dtype).eps * jnp.abs(value)
+    first = ~jnp.isfinite(state.value)
+    taken = finite & ~state.converged
+    if method.backtrack:
+        taken = taken & (first | (value <= state.value + SUFFICIENT * slope + slack))
+    safe = jnp.where(finite, gradient, 0)
+    moved = _taken(method, state, jnp.where(finite, value, 0), safe)
+    stayed = _shortened(method, state)
+    after = jax.tree.map(lambda a, b: jnp.where(taken, a, b), moved, stayed)
+    after = after._replace(
+        value=jnp.where(taken, value, state.value),
+        converged=state.converged | (after.converged & ~(first & ~taken)),
+        average=_averaged(state, taken),
+        index=state.index + 1,
+    )
+    return after, Info(value, gradient, state.trial, taken)
+
+
+def _taken(method: Method, state: State, value: Array, gradient: Array) -> State:
+    """The state once the trial is taken: its gradient gives the next direction."""
+    if not method.backtrack:
+        update, memory = method.transform.update(gradient, state.memory, state.trial)
+        direction, settled = _limited(method, -update), jnp.zeros((), bool)
+    else:
+        direction, memory, settled = _quasi_newton(method, state, value, gradient)
+    return state._replace(
+        trial=state.trial + direction,
+        point=state.trial,
+        gradient=gradient,
+        direction=direction,
+        share=jnp.ones_like(state.share),
+        memory=memory,
+        converged=settled,
+    )
+
+
+def _quasi_newton(method: Method, state: State, value: Array, gradient: Array) -> tuple[Array, PyTree, Array]:
+    """The next direction, the memory, and whether the trial is as low as can be told."""
+    moved, changed = state.trial - state.point, gradient - state.gradient
+    convex = jnp.sum(moved * changed) > 1e-4 * _length(moved) * _length(changed)
+    first = ~jnp.isfinite(state.value)
+    # A pair without curvature would make the inverse Hessian indefinite: the memory is told that nothing moved.
+    idle = state.memory._replace(params=state.trial, updates=gradient)
+    memory = jax.tree.map(lambda a, b: jnp.where(convex | first, a, b), state.memory, idle)
+    update, memory = method.transform.update(gradient, memory, state.trial)
+    direction = _limited(method, -update)
+    promised, slope = -jnp.sum(direction * gradient), _length(gradient)
+    little = method.decrease * jnp.abs(value)
+    flat = slope < FLAT * jnp.abs(value)
+    trusted = convex & (promised > 0) & ((promised > little) | flat)
+    direction = jnp.where(trusted, direction, -gradient * method.longest / jnp.where(slope > 0, slope, 1))
+    done = jnp.where(trusted, (promised <= little) | (_length(direction) < method.tolerance), flat)
+    settled = (slope == 0) | done
+    return direction, memory, settled
+
+
+def _length(vector: Array) -> Array:
+    return jnp.sqrt(jnp.sum(vector**2))
+
+
+def _limited(method: Method, direction: Array) -> Array:
+    length = _length(direction)
+    return direction * jnp.minimum(1.0, method.longest / jnp.where(length > 0, length, 1.0))
+
+
+def _shortened(method: Method, state: State) -> State:
+    """The state once the trial is refused: a shorter step, from the same point."""
+    share = state.share / 4
+    settled = _length(state.direction) * share < method.tolerance
+    return state._replace(
+        trial=state.point + share * state.direction,
+        share=share,
+        converged=settled if method.backtrack else jnp.zeros((), bool),
+    )
+
+
+def _averaged(state: State, taken: Array) -> Array:
+    """Mean of the points since half of the evaluations: each weighs as those before it die away, 1 / (k / 2)."""
+    weight = jnp.minimum(2.0 / (state.index + 1).astype(state.trial.dtype), 1.0)
+    return jnp.where(taken, state.average + weight * (state.trial - state.average), state.average)
+
+
+__all__ = ["Info", "Method", "State", "adam", "init", "lbfgs", "step"]

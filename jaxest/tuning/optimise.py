@@ -1,0 +1,261 @@
+"""The loop: many starts at once, batches, held-out recordings, checkpoints.
+
+The whole search is one pytree, `Search`, that `begin` makes and `advance` moves on; kept, it resumes.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxest.tuning import descent
+from jaxest.tuning.descent import Method, lbfgs
+from jaxest.tuning.objectives import Objective, total
+from jaxest.tuning.parameters import Space
+from jaxest.tuning.recordings import Recording, Windows, sample_windows
+from jaxest.types import Array, PyTree
+
+
+class Problem(NamedTuple):
+    """What is tuned; static, hashed by identity. Build it once, it compiles once."""
+
+    objective: Objective
+    space: Space
+    forward: bool | None = None
+    """Whether gradients go forward, which takes no memory and costs a run per free number; if None, where there are at
+    most `FORWARD` of them and nothing is drawn."""
+    windows: Windows | None = None
+    """Mini-batches; None for whole recordings."""
+
+
+FORWARD = 6
+
+
+class Search(NamedTuple):
+    """The state of a search: its checkpoint. Leaves (starts, ...) but for the last two."""
+
+    descent: descent.State
+    best: Array
+    """(starts, n) the point that is kept: the lowest on the held-out recordings, or on all without them."""
+    best_value: Array
+    """(starts,)"""
+    since: Array
+    """(starts,) int32, evaluations since it was found."""
+    index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
+    """() int32, evaluations."""
+
+
+class Trace(NamedTuple):
+    """What each evaluation found."""
+
+    value: NDArray[Any]
+    """(evaluations, starts)"""
+    held_out: NDArray[Any]
+    """(evaluations, starts), NaN without held-out recordings."""
+    point: NDArray[Any]
+    """(evaluations, starts, n)"""
+    taken: NDArray[Any]
+    """(evaluations, starts) bool"""
+
+
+class Result(NamedTuple):
+    """What a search ended with."""
+
+    params: PyTree
+    """At the best start's best point."""
+    point: Array
+    """(n,) that point."""
+    value: float
+    points: Array
+    """(starts, n) each start's best point."""
+    values: NDArray[Any]
+    """(starts,) the objective there: on all recordings, or on the held-out ones where there are any."""
+    trace: Trace
+    search: Search
+    stopped: str
+    """Why it ended: `converged`, `held out` (no improvement there) or `evaluations`."""
+
+
+def value_and_gradient(problem: Problem, z: Array, batch: Recording, key: Array | None = None) -> tuple[Array, Array]:
+    """Return the mean loss () of a batch at a point (n,), and its gradient (n,)."""
+
+    def loss(z: Array) -> Array:
+        return total(problem.objective, problem.space.unpack(z), batch, key)
+
+    forward = problem.forward
+    if forward is None:
+        forward = problem.space.size <= FORWARD and not problem.objective.random
+    if not forward:
+        return jax.value_and_grad(loss)(z)
+    push = jax.vmap(lambda v: jax.jvp(loss, (z,), (v,)), out_axes=(None, 0))
+    return push(jnp.eye(z.shape[0], dtype=z.dtype))
+
+
+def begin(problem: Problem, method: Method, points: Array) -> Search:
+    """Return the search before its first evaluation.
+
+    Args:
+        problem: what is tuned.
+        method: the optimiser.
+        points: (starts, n), as `Space.pack` and `disperse` make them.
+    """
+    points = jnp.asarray(points)
+    starts = points.shape[0]
+    states = jax.vmap(partial(descent.init, method))(points)
+    worst = jnp.full((starts,), jnp.inf, points.dtype)
+    return Search(states, points, worst, jnp.zeros((starts,), jnp.int32), jnp.zeros((), jnp.int32))
+
+
+def disperse(space: Space, points: int, *, key: Array, spread: Any = 1.0, dtype: Any = None) -> Array:
+    """Draw starts about the space's own: the first is that, the others normal about it.
+
+    Args:
+        space: the free parameters.
+        points: how many.
+        key: random key.
+        spread: () or (n,) standard deviation, of logarithms where a parameter is positive.
+        dtype: of the points; JAX's default if None.
+
+    Returns:
+        (points, n).
+    """
+    centre = space.pack(space.base, dtype)
+    noise = jax.random.normal(key, (points, space.size), centre.dtype).at[0].set(0)
+    return centre[None] + jnp.broadcast_to(jnp.asarray(spread, centre.dtype), (points, space.size)) * noise
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def advance(
+    problem: Problem,
+    method: Method,
+    search: Search,
+    batch: Recording,
+    held_out: Recording | None = None,
+    key: Array | None = None,
+) -> tuple[Search, tuple[descent.Info, Array]]:
+    """Evaluate every start once and move it on.
+
+    Args:
+        problem: what is tuned, static.
+        method: the optimiser, static.
+        search: as `begin` or the previous call returned it.
+        batch: the recordings (B, T, ...).
+        held_out: recordings that only judge.
+        key: key of the whole search, for mini-batches and for what is drawn; folded with the evaluation's number, and
+            the same for all starts.
+
+    Returns:
+        The search, and of each start what was found and the held-out loss (NaN without).
+    """
+    pick = draw = None
+    if key is not None:
+        pick, draw = jax.random.split(jax.random.fold_in(key, search.index))
+    part = batch if problem.windows is None else sample_windows(batch, problem.windows, _given(pick))
+
+    def one(state: descent.State) -> tuple[descent.State, descent.Info]:
+        return descent.step(method, lambda z: value_and_gradient(problem, z, part, draw), state)
+
+    states, info = jax.vmap(one)(search.descent)
+    if held_out is None:
+        judged, loss = info.value, jnp.full_like(info.value, jnp.nan)
+    else:
+        loss = jax.vmap(lambda z: total(problem.objective, problem.space.unpack(z), held_out, draw))(info.point)
+        judged = loss
+    better = info.taken & (judged < search.best_value)
+    noisy = problem.windows is not None or problem.objective.random
+    if noisy and held_out is None:  # no evaluation is comparable with another: the last points' mean is kept
+        found = Search(states, states.average, info.value, jnp.zeros_like(search.since), search.index + 1)
+    else:
+        found = Search(
+            states,
+            jnp.where(better[:, None], info.point, search.best),
+            jnp.where(better, judged, search.best_value),
+            jnp.where(better, 0, search.since + 1),
+            search.index + 1,
+        )
+    return found, (info, loss)
+
+
+def _given(key: Array | None) -> Array:
+    if key is None:
+        raise ValueError("key: got None, expected a key to draw mini-batches with")
+    return key
+
+
+def minimise(
+    problem: Problem,
+    batch: Recording,
+    *,
+    method: Method | None = None,
+    starts: Array | None = None,
+    search: Search | None = None,
+    held_out: Recording | None = None,
+    evaluations: int = 60,
+    patience: int = 15,
+    key: Array | None = None,
+    progress: Callable[[str], None] = lambda message: None,
+    keep: Callable[[Search], None] = lambda search: None,
+) -> Result:
+    """Search for the parameters that make an objective small.
+
+    Args:
+        problem: what is tuned.
+        batch: recordings (B, T, ...), as `padded` makes them.
+        method: the optimiser; L-BFGS if None.
+        starts: (starts, n); the space's own if None.
+        search: where to resume, in place of `starts`.
+        held_out: recordings that only judge: the best point there is kept, and the search ends after `patience`
+            evaluations without a better one.
+        evaluations: at most; of each start, in all.
+        patience: as said.
+        key: random key, for mini-batches and for what is drawn.
+        progress: hears a line an evaluation.
+        keep: gets the search after every evaluation, to write it down.
+
+    Returns:
+        The result. A start whose best value is not finite never found one.
+    """
+    method = lbfgs() if method is None else method
+    if search is None:
+        own = problem.space.pack(problem.space.base)[None] if starts is None else starts
+        search = begin(problem, method, own)
+    rows, stopped = [], "evaluations"
+    data = jax.tree.map(jnp.asarray, (batch, held_out))
+    while int(search.index) < evaluations:
+        search, (info, loss) = advance(problem, method, search, *data, key)
+        rows.append(Trace(*(np.asarray(x) for x in (info.value, loss, info.point, info.taken))))
+        keep(search)
+        progress(f"evaluation {int(search.index)}: {_best(rows[-1].value):.6g}")
+        if bool(jnp.all(search.descent.converged)):
+            stopped = "converged"
+            break
+        if held_out is not None and bool(jnp.all(search.since >= patience)):
+            stopped = "held out"
+            break
+    trace = Trace(*(np.stack(x) for x in zip(*rows, strict=True))) if rows else Trace(*[np.zeros((0, 0))] * 4)
+    values = np.asarray(search.best_value)
+    first = int(np.argmin(np.where(np.isfinite(values), values, np.inf)))
+    point = search.best[first]
+    return Result(problem.space.unpack(point), point, float(values[first]), search.best, values, trace, search, stopped)
+
+
+def _best(values: NDArray[Any]) -> float:
+    finite = values[np.isfinite(values)]
+    return float(finite.min()) if finite.size else float("nan")
+
+
+__all__ = [
+    "Problem",
+    "Result",
+    "Search",
+    "Trace",
+    "advance",
+    "begin",
+    "disperse",
+    "minimise",
+    "value_and_gradient",
+]

@@ -1,0 +1,138 @@
+"""What a tuning is worth: standard errors, what each parameter changes, what the data cannot tell."""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxest.tuning.objectives import each, total
+from jaxest.tuning.optimise import FORWARD, Problem
+from jaxest.tuning.recordings import Recording
+from jaxest.types import Array
+
+LOOSE = 1.0
+"""Standard error in free numbers (a factor e of a positive value) beyond which a parameter counts as unidentified."""
+
+
+class Curvature(NamedTuple):
+    """The objective about a point, in free numbers."""
+
+    value: float
+    gradient: NDArray[np.float64]
+    """(n,) of the mean loss."""
+    hessian: NDArray[np.float64]
+    """(n, n) of the mean loss."""
+    covariance: NDArray[np.float64]
+    """(n, n) of the point; infinite along directions without curvature."""
+    spread: NDArray[np.float64]
+    """(n, n) Monte-Carlo covariance of the mean gradient, 0 where nothing is drawn."""
+
+
+class Estimate(NamedTuple):
+    """One entry of a free parameter."""
+
+    name: str
+    start: float
+    value: float
+    sd: float
+    """Standard error, infinite where unidentified."""
+    rise: float
+    """What a change by 10 % of the value (or by 0.1, where it may have either sign) adds to the mean loss, all other
+    parameters as they are."""
+    identified: bool
+
+
+def curvature(problem: Problem, z: Array, batch: Recording, keys: Array | None = None) -> Curvature:
+    """Return value, gradient, Hessian and the covariance that follows.
+
+    For a likelihood the covariance is the inverse of the summed Hessian; for other objectives that of an M-estimator,
+    from how the gradients of single recordings differ, so it wants a good many recordings.
+
+    Args:
+        problem: what is tuned.
+        z: (n,) the point.
+        batch: recordings (B, T, ...).
+        keys: (k,) keys over which an objective that is drawn is averaged.
+
+    Returns:
+        The curvature.
+
+    Source: van der Vaart 1998 (Asymptotic statistics), theorem 5.21.
+    """
+    keys = jax.random.split(jax.random.key(0), 1) if keys is None else keys
+    drawn = [jax.tree.map(np.asarray, _derivatives(problem, z, batch, key)) for key in keys]
+    value, gradients, hessian = (np.asarray(np.mean([d[i] for d in drawn], axis=0, dtype=float)) for i in range(3))
+    hessian = (hessian + hessian.T) / 2
+    count = gradients.shape[0]
+    means = np.array([d[1].mean(axis=0) for d in drawn], np.float64)
+    spread = np.zeros_like(hessian)
+    if len(keys) > 1:
+        spread = np.cov(means, rowvar=False).reshape(hessian.shape) / len(keys)
+    middle = hessian / count
+    if not problem.objective.likelihood:
+        centred = gradients - gradients.mean(axis=0)
+        middle = centred.T @ centred / max(count * (count - 1), 1)
+    return Curvature(float(value), gradients.mean(axis=0), hessian, _sandwich(hessian, middle + spread), spread)
+
+
+@partial(jax.jit, static_argnums=0)
+def _derivatives(problem: Problem, z: Array, batch: Recording, key: Array) -> tuple[Array, Array, Array]:
+    def losses(z: Array) -> Array:
+        return each(problem.objective, problem.space.unpack(z), batch, key)
+
+    def mean(z: Array) -> Array:
+        return total(problem.objective, problem.space.unpack(z), batch, key)
+
+    if problem.objective.random:
+        return mean(z), jax.jacrev(losses)(z), jax.hessian(mean)(z)
+    forward = problem.forward if problem.forward is not None else problem.space.size <= FORWARD
+    inner = jax.jacfwd if forward else jax.jacrev
+    return mean(z), inner(losses)(z), jax.jacfwd(inner(mean))(z)
+
+
+def _sandwich(hessian: NDArray[Any], middle: NDArray[Any]) -> NDArray[Any]:
+    """Inverse Hessian on both sides; directions of no or negative curvature are unknown, all that they touch too."""
+    values, vectors = np.linalg.eigh(hessian)
+    flat = values <= 1e-6 * max(values[-1], 0.0)
+    inverse = np.where(flat, 0.0, 1 / np.where(flat, 1.0, values))
+    back = (vectors * inverse) @ vectors.T
+    found = back @ middle @ back
+    unknown = (vectors[:, flat] ** 2).sum(axis=1) > 1e-3
+    found[unknown, :] = found[:, unknown] = 0.0
+    found[unknown, unknown] = np.inf
+    return found
+
+
+def estimates(problem: Problem, z: Array, found: Curvature) -> list[Estimate]:
+    """Return a row for every entry of every free parameter.
+
+    Args:
+        problem: what is tuned.
+        z: (n,) the point.
+        found: the curvature there.
+
+    Returns:
+        The rows; standard errors by the chart's derivative.
+    """
+    values = np.asarray(problem.space.values(z), np.float64)
+    start = np.asarray(problem.space.values(problem.space.pack(problem.space.base, z.dtype)), np.float64)
+    slope = np.asarray(jax.jacfwd(problem.space.values)(z), np.float64)
+    known = np.isfinite(np.diag(found.covariance))
+    inside = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
+    rows = []
+    for i, name in enumerate(problem.space.names):
+        moving = np.flatnonzero(slope[i])
+        sure = bool(known[moving].all())
+        sd = float(np.sqrt(max(slope[i] @ inside @ slope[i], 0.0))) if sure else np.inf
+        tight = sure and bool((np.sqrt(np.diag(inside)[moving]) < LOOSE).all())
+        step = 0.1 * (abs(values[i]) if start[i] * values[i] > 0 else 1.0)
+        norm = float(slope[i] @ slope[i])
+        moved = slope[i] * (step / norm) if norm > 0 else 0 * slope[i]
+        rise = float(found.gradient @ moved + moved @ found.hessian @ moved / 2)
+        rows.append(Estimate(name, float(start[i]), float(values[i]), sd, rise, tight))
+    return rows
+
+
+__all__ = ["Curvature", "Estimate", "curvature", "estimates"]
