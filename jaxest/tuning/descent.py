@@ -185,8 +185,10 @@ def _quasi_newton(method: Method, state: State, value: Array, gradient: Array) -
     flat = slope < FLAT * jnp.abs(value)
     trusted = convex & (promised > 0) & ((promised > little) | flat)
     direction = jnp.where(trusted, direction, -gradient * method.longest / jnp.where(slope > 0, slope, 1))
-    done = jnp.where(trusted, (promised <= little) | (_length(direction) < method.tolerance), flat)
-    settled = (slope == 0) | done
+    # A step that rounding alone let pass, and no curvature to be seen: as low as this precision can tell.
+    stuck = jnp.abs(value - state.value) <= 8 * jnp.finfo(value.dtype).eps * jnp.abs(value)
+    done = jnp.where(trusted, (promised <= little) | (_length(direction) < method.tolerance), flat | stuck)
+    settled = (slope == 0) | (done & ~first) | (first & flat)
     return direction, memory, settled
 
 

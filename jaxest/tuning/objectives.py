@@ -185,12 +185,18 @@ def total(objective: Objective, params: PyTree, batch: Recording, key: Array | N
 
 def each(objective: Objective, params: PyTree, batch: Recording, key: Array | None = None) -> Array:
     """Return the loss (B,) of every recording of a batch."""
+    return per_recording(objective, lambda one, k: objective.loss(params, one, k), batch, key)
+
+
+def per_recording(
+    objective: Objective, function: Callable[[Recording, Array | None], PyTree], batch: Recording, key: Array | None
+) -> PyTree:
+    """Return a function of `(recording, key)` for every recording of a batch, each with a key of its own if drawn."""
     if not objective.random:
-        return jax.vmap(lambda one: objective.loss(params, one, None))(batch)
+        return jax.vmap(lambda one: function(one, None))(batch)
     if key is None:
         raise ValueError("key: got None, expected a key, for this objective is drawn")
-    keys = jax.random.split(key, jnp.shape(batch.counts)[0])
-    return jax.vmap(lambda one, k: objective.loss(params, one, k))(batch, keys)
+    return jax.vmap(function)(batch, jax.random.split(key, jnp.shape(batch.counts)[0]))
 
 
 __all__ = [
@@ -200,6 +206,7 @@ __all__ = [
     "kalman_system",
     "likelihood",
     "mean",
+    "per_recording",
     "rms",
     "smoothed",
     "supervised",

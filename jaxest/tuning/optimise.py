@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from jaxest.tuning import descent
 from jaxest.tuning.descent import Method, lbfgs
-from jaxest.tuning.objectives import Objective, total
+from jaxest.tuning.objectives import Objective, per_recording, total
 from jaxest.tuning.parameters import Space
 from jaxest.tuning.recordings import Recording, Windows, sample_windows
 from jaxest.types import Array, PyTree
@@ -82,17 +82,30 @@ class Result(NamedTuple):
 
 def value_and_gradient(problem: Problem, z: Array, batch: Recording, key: Array | None = None) -> tuple[Array, Array]:
     """Return the mean loss () of a batch at a point (n,), and its gradient (n,)."""
+    if not goes_forward(problem):
+
+        def one(recording: Recording, key: Array | None) -> tuple[Array, Array]:
+            return jax.value_and_grad(partial(loss_at, problem))(z, recording, key)
+
+        values, gradients = per_recording(problem.objective, one, batch, key)
+        return jnp.mean(values), jnp.mean(gradients, axis=0)
 
     def loss(z: Array) -> Array:
         return total(problem.objective, problem.space.unpack(z), batch, key)
 
-    forward = problem.forward
-    if forward is None:
-        forward = problem.space.size <= FORWARD and not problem.objective.random
-    if not forward:
-        return jax.value_and_grad(loss)(z)
     push = jax.vmap(lambda v: jax.jvp(loss, (z,), (v,)), out_axes=(None, 0))
     return push(jnp.eye(z.shape[0], dtype=z.dtype))
+
+
+def loss_at(problem: Problem, z: Array, one: Recording, key: Array | None = None) -> Array:
+    """Return the loss () of one recording at a point (n,)."""
+    return problem.objective.loss(problem.space.unpack(z), one, key)
+
+
+def goes_forward(problem: Problem) -> bool:
+    """Whether gradients go forward."""
+    few = problem.space.size <= FORWARD and not problem.objective.random
+    return few if problem.forward is None else problem.forward
 
 
 def begin(problem: Problem, method: Method, points: Array) -> Search:

@@ -4,11 +4,12 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.tuning.objectives import each, total
-from jaxest.tuning.optimise import FORWARD, Problem
+from jaxest.tuning.objectives import per_recording
+from jaxest.tuning.optimise import Problem, goes_forward, loss_at
 from jaxest.tuning.recordings import Recording
 from jaxest.types import Array
 
@@ -79,17 +80,15 @@ def curvature(problem: Problem, z: Array, batch: Recording, keys: Array | None =
 
 @partial(jax.jit, static_argnums=0)
 def _derivatives(problem: Problem, z: Array, batch: Recording, key: Array) -> tuple[Array, Array, Array]:
-    def losses(z: Array) -> Array:
-        return each(problem.objective, problem.space.unpack(z), batch, key)
+    loss = partial(loss_at, problem)
+    inner = jax.jacfwd if goes_forward(problem) else jax.jacrev
 
-    def mean(z: Array) -> Array:
-        return total(problem.objective, problem.space.unpack(z), batch, key)
+    def one(recording: Recording, key: Array | None) -> tuple[Array, Array, Array]:
+        slope = inner(loss)
+        return loss(z, recording, key), slope(z, recording, key), jax.jacfwd(slope)(z, recording, key)
 
-    if problem.objective.random:
-        return mean(z), jax.jacrev(losses)(z), jax.hessian(mean)(z)
-    forward = problem.forward if problem.forward is not None else problem.space.size <= FORWARD
-    inner = jax.jacfwd if forward else jax.jacrev
-    return mean(z), inner(losses)(z), jax.jacfwd(inner(mean))(z)
+    values, gradients, hessians = per_recording(problem.objective, one, batch, key)
+    return jnp.mean(values), gradients, jnp.mean(hessians, axis=0)
 
 
 def _sandwich(hessian: NDArray[Any], middle: NDArray[Any]) -> NDArray[Any]:

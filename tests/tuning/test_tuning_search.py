@@ -1,0 +1,166 @@
+"""The search: minima of known functions, recovery of what data were drawn with, resuming, early stopping, reports."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tuning_models import FILTER, KALMAN, Params, drawn, particles
+
+from jaxest import tuning
+from jaxest.filters import particle
+from jaxest.io import checkpoint
+from jaxest.tuning import descent
+
+BATCH = tuning.padded([drawn(seed, steps=150) for seed in range(10)])
+LIKELIHOOD = tuning.likelihood(KALMAN)
+SPACE = tuning.space(Params(), ["walk", "seen"])
+PROBLEM = tuning.Problem(LIKELIHOOD, SPACE)
+
+
+def valley(z):
+    return 1 + (1 - z[0]) ** 2 + 20 * (z[1] - z[0] ** 2) ** 2
+
+
+def plateau(z):
+    """Flat to the left, where a gain's logarithm no longer matters."""
+    gain = jnp.exp(z[1])
+    return 2 + jnp.tanh(z[0] / 3) ** 2 + 0.1 * (jnp.exp(-gain) + 0.2 * gain)
+
+
+@pytest.mark.parametrize(
+    ("function", "lowest", "at"),
+    [(valley, 1.0, [1.0, 1.0]), (plateau, 2 + 0.1 * (0.2 + 0.2 * np.log(5)), [0.0, np.log(np.log(5))])],
+    ids=["valley", "plateau"],
+)
+def test_lbfgs_finds_the_minimum_from_far(function, lowest, at):
+    method = descent.lbfgs()
+    starts = jax.random.normal(jax.random.key(4), (8, 2)) * jnp.array([[2.0, 2.5]])
+    state = jax.vmap(lambda z: descent.init(method, z))(starts)
+    step = jax.jit(jax.vmap(lambda s: descent.step(method, jax.value_and_grad(function), s)))
+    for _ in range(80):
+        before = state
+        state, _ = step(state)
+        assert (state.value <= before.value + 1e-6).all()
+        if state.converged.all():
+            break
+    assert state.converged.all()
+    np.testing.assert_allclose(state.value, lowest, rtol=1e-5)
+    np.testing.assert_allclose(state.point, np.broadcast_to(at, (8, 2)), atol=0.02)
+
+
+def test_values_that_are_not_finite_are_never_taken():
+    method = descent.lbfgs(longest=4.0)
+
+    def cliff(z):
+        return jnp.where(z[0] > 0, z[0] - jnp.log(jnp.where(z[0] > 0, z[0], 1)), jnp.nan)
+
+    state = descent.init(method, jnp.array([3.0]))
+    step = jax.jit(lambda s: descent.step(method, jax.value_and_grad(cliff), s))
+    for _ in range(40):
+        state, _ = step(state)
+        assert np.isfinite(state.value)
+    np.testing.assert_allclose(state.point, [1.0], atol=1e-2)
+
+
+def test_noise_is_recovered_with_honest_errors():
+    """The generating values lie within three standard errors, and starts far apart end at one optimum."""
+    starts = tuning.disperse(SPACE, 4, key=jax.random.key(1), spread=1.5)
+    found = tuning.minimise(PROBLEM, BATCH, starts=starts, evaluations=40)
+    assert found.stopped == "converged"
+    np.testing.assert_allclose(found.points, np.broadcast_to(found.point, (4, 2)), atol=0.01)
+    curved = tuning.curvature(PROBLEM, found.point, BATCH)
+    rows = tuning.estimates(PROBLEM, found.point, curved)
+    for row, truth in zip(rows, (0.5, 1.0), strict=True):
+        assert abs(row.value - truth) < 3 * row.sd
+        assert row.sd < 0.1
+        assert row.identified
+        assert row.rise > 0
+    np.testing.assert_allclose(curved.gradient, 0, atol=1e-2)
+
+
+def test_standard_errors_are_those_of_repetitions():
+    """The spread of the estimates over fresh data is what the Hessian claims, to its sampling error."""
+    runs = 40
+    batches = [tuning.padded([drawn(100 + 4 * run + i, steps=80) for i in range(4)]) for run in range(runs)]
+    points, claims = [], []
+    for batch in batches:
+        found = tuning.minimise(PROBLEM, batch, evaluations=25)
+        points.append(np.asarray(found.point))
+        claims.append(np.diag(tuning.curvature(PROBLEM, found.point, batch).covariance))
+    ratio = np.var(points, axis=0, ddof=1) / np.mean(claims, axis=0)
+    # A variance of 40 draws has a relative standard deviation of sqrt(2 / 39) = 0.23.
+    assert (np.abs(np.log(ratio)) < 3 * 0.23).all(), ratio
+
+
+def test_what_cannot_be_told_apart_is_said():
+    space = tuning.space(Params(), ["walk", "seen", "scale"])
+    problem = tuning.Problem(LIKELIHOOD, space)
+    found = tuning.minimise(problem, BATCH, evaluations=30)
+    rows = {
+        row.name: row for row in tuning.estimates(problem, found.point, tuning.curvature(problem, found.point, BATCH))
+    }
+    assert rows["walk"].identified
+    assert not rows["seen"].identified
+    assert not rows["scale"].identified
+    assert np.isinf(rows["scale"].sd)
+
+
+def test_a_kept_search_resumes_to_the_same_numbers(tmp_path):
+    starts = tuning.disperse(SPACE, 2, key=jax.random.key(2), spread=0.5)
+    method = tuning.lbfgs()
+    whole = tuning.minimise(PROBLEM, BATCH, method=method, starts=starts, evaluations=8)
+    file = tmp_path / "search.npz"
+    tuning.minimise(
+        PROBLEM, BATCH, method=method, starts=starts, evaluations=4,
+        keep=lambda search: checkpoint.save_state(file, search, overwrite=True),
+    )  # fmt: skip
+    kept = checkpoint.load_state(file, tuning.begin(PROBLEM, method, starts))
+    rest = tuning.minimise(PROBLEM, BATCH, method=method, search=kept, evaluations=8)
+    assert int(kept.index) == 4
+    for a, b in zip(jax.tree.leaves(whole.search), jax.tree.leaves(rest.search), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_one_trace_serves_all_evaluations():
+    traces = []
+
+    def counted(params, one, key):
+        traces.append(1)
+        return LIKELIHOOD.loss(params, one, key)
+
+    problem = tuning.Problem(tuning.Objective(counted, likelihood=True), SPACE)
+    tuning.minimise(problem, BATCH, evaluations=2)
+    after = len(traces)
+    tuning.minimise(problem, BATCH, evaluations=6)
+    assert len(traces) <= 2 * after  # a second method object compiles again; evaluations do not
+
+
+def test_held_out_recordings_stop_an_overfit():
+    """One recording is fitted better and better while others, drawn with other noise, get worse."""
+    fitted = tuning.padded([drawn(1, steps=40, walk=2.0)])
+    other = tuning.padded([drawn(2, steps=40, walk=0.7)])
+    found = tuning.minimise(
+        PROBLEM, fitted, held_out=other, method=tuning.adam(0.05), evaluations=120, patience=8
+    )  # fmt: skip
+    assert found.stopped == "held out"
+    held = found.trace.held_out[:, 0]
+    assert found.value == pytest.approx(np.nanmin(held))
+    assert held[-1] > found.value
+    assert len(held) == np.nanargmin(held) + 1 + 8
+
+
+def test_mini_batches_of_a_particle_filter_come_near_the_exact_optimum():
+    system = particles(particle.filter_step(FILTER._replace(resample=tuning.fading(FILTER.resample, 0.9))), 64)
+    problem = tuning.Problem(
+        tuning.likelihood(system, random=True), SPACE, windows=tuning.Windows(recordings=5, length=50)
+    )
+    start = (SPACE.pack(Params()) + jnp.array([0.8, -0.6]))[None]
+    found = tuning.minimise(
+        problem, BATCH, method=tuning.adam(0.08), starts=start, evaluations=80, key=jax.random.key(5)
+    )  # fmt: skip
+    exact = tuning.minimise(PROBLEM, BATCH, evaluations=30)
+    sd = np.sqrt(np.diag(tuning.curvature(PROBLEM, exact.point, BATCH).covariance))
+    # Windows of 50 of 150 steps, averaged over 40 evaluations: within a few standard errors, far from the start.
+    assert (np.abs(np.asarray(found.point - exact.point)) < np.maximum(4 * sd, 0.1)).all()
+    with pytest.raises(ValueError, match="key"):
+        tuning.minimise(problem, BATCH, evaluations=1)
