@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 import jaxest
-from jaxest.cli import bench, compare, demo, doctor, estimate, inspect, reproduce
+from jaxest.cli import bench, compare, demo, doctor, estimate, inspect, reproduce, tune
 
 EPILOG = (
     "Start with [bold]jaxest demo[/], then [bold]jaxest inspect[/] a robot (MJCF, URDF) or a log (NPZ, CSV) of yours. "
@@ -40,5 +40,5 @@ def _options(
     logging.getLogger("jaxest").addHandler(logging.NullHandler())  # commands print a robot's notes themselves
 
 
-for module in (demo, inspect, estimate, compare, reproduce, bench, doctor):
+for module in (demo, inspect, estimate, compare, tune, reproduce, bench, doctor):
     app.command(module.NAME, epilog="\n\n".join(("Examples:", *module.EXAMPLES)))(module.run)

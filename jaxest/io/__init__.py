@@ -8,7 +8,8 @@
 * `ticks(log)` merges streams of different rates into one sequence of steps without losing a sample; `interpolate`
   puts them on stamps of your own.
 * `summarize(log)` says what is in a log and what looks wrong; `to_si` converts the units that its streams state.
-* `save_state`, `load_state`: a checkpoint of any state pytree; `Report`, `to_json`: what commands print; `read_config`.
+* `save_state`, `load_state`: a checkpoint of any state pytree; `Report`, `to_json`: what commands print; `read_config`,
+  `write_config`.
 
 Streams are called `gyroscope`, `accelerometer`, `magnetometer` (T), `orientation` (wxyz), `joint_position`, ...;
 several sensors of a kind have a prefix, `imu0/gyroscope`. NaN stays in a log as a missing sample.
@@ -17,7 +18,7 @@ several sensors of a kind have a prefix, `imu0/gyroscope`. NaN stays in a log as
 from jaxest.io.align import Steps, interpolate, ticks
 from jaxest.io.checkpoint import load_state, save_state
 from jaxest.io.columns import Column, ColumnTable
-from jaxest.io.config import read_config
+from jaxest.io.config import read_config, write_config
 from jaxest.io.formats import propose, read, write
 from jaxest.io.inspect import Summary, summarize
 from jaxest.io.log import SensorLog, Stream, check, stream, to_si
@@ -51,4 +52,5 @@ __all__ = [
     "to_si",
     "to_toml",
     "write",
+    "write_config",
 ]

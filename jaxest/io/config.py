@@ -1,12 +1,13 @@
 """Config files in TOML, with errors that name the file, the line and the field."""
 
+import json
 import re
 import tomllib
 from collections.abc import Mapping
 from typing import Any
 
 from jaxest.io import columns
-from jaxest.io.files import PathLike, existing
+from jaxest.io.files import PathLike, existing, replacing
 from jaxest.types import InputError, unknown_name
 
 Schema = Mapping[str, Any]
@@ -44,6 +45,40 @@ def read_config(path: PathLike, schema: Schema | None = None) -> dict[str, Any]:
     if schema is not None:
         _validate(str(path), text, rest, schema, ())
     return data
+
+
+def write_config(path: PathLike, tables: Mapping[str, Any], overwrite: bool = False) -> None:
+    """Write a config, whole or not at all.
+
+    Args:
+        path: where it goes.
+        tables: text, truth values, numbers, lists of those, and tables, under keys.
+        overwrite: whether an existing file may be replaced.
+
+    Raises:
+        InputError: the output exists or cannot be written.
+    """
+    with replacing(path, overwrite=overwrite) as file:
+        file.write(_toml(tables, ()).strip("\n").encode() + b"\n")
+
+
+def _toml(table: Mapping[str, Any], way: tuple[str, ...]) -> str:
+    """A table's own keys, then the tables in it."""
+    own = "".join(f"{_key(k)} = {_literal(v)}\n" for k, v in table.items() if not isinstance(v, Mapping))
+    head = f"\n[{'.'.join(map(_key, way))}]\n" if way and (own or not table) else ""
+    return head + own + "".join(_toml(v, (*way, k)) for k, v in table.items() if isinstance(v, Mapping))
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name)
+
+
+def _literal(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_literal, value))}]"
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{_key(k)} = {_literal(v)}' for k, v in value.items())} }}"
+    return json.dumps(value) if isinstance(value, str | bool) else repr(value)
 
 
 def _validate(path: str, text: str, data: Mapping[str, Any], schema: Schema, keys: tuple[str, ...]) -> None:

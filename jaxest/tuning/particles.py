@@ -129,7 +129,7 @@ def transported(manifold: Manifold, particles: PyTree, log_weights: Array, smoot
     flat = jax.vmap(manifold.local, (None, 0))(centre, particles)
     gaps = flat[:, None, :] - flat[None, :, :]
     cost = jnp.sum(gaps * gaps, axis=-1)
-    cost = cost / (smoothing * jax.lax.stop_gradient(jnp.mean(cost)) + jnp.finfo(cost.dtype).tiny)
+    cost = cost / (smoothing * jnp.mean(cost) + jnp.finfo(cost.dtype).tiny)
     equal = -jnp.log(jnp.asarray(flat.shape[0], flat.dtype))
 
     def balance(_: int, g: Array) -> Array:

@@ -85,7 +85,9 @@ def runs(objective, z, space, one, count, seed=0):
 
 
 @pytest.mark.parametrize(
-    "resample", [resampling.systematic, tuning.fading(resampling.systematic, 0.8)], ids=["all", "fading"]
+    "resample",
+    [resampling.systematic, pytest.param(tuning.fading(resampling.systematic, 0.97), marks=pytest.mark.slow)],
+    ids=["all", "fading"],
 )
 def test_score_is_the_difference_of_the_expectation(resample):
     """Differences of mean values with common random numbers, in steps wide beside their noise."""

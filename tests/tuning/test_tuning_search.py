@@ -78,6 +78,7 @@ def test_noise_is_recovered_with_honest_errors():
     np.testing.assert_allclose(curved.gradient, 0, atol=1e-2)
 
 
+@pytest.mark.slow
 def test_standard_errors_are_those_of_repetitions():
     """The spread of the estimates over fresh data is what the Hessian claims, to its sampling error."""
     runs = 40
@@ -121,6 +122,7 @@ def test_a_kept_search_resumes_to_the_same_numbers(tmp_path):
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.slow
 def test_one_trace_serves_all_evaluations():
     traces = []
 
@@ -149,6 +151,7 @@ def test_held_out_recordings_stop_an_overfit():
     assert len(held) == np.nanargmin(held) + 1 + 8
 
 
+@pytest.mark.slow
 def test_mini_batches_of_a_particle_filter_come_near_the_exact_optimum():
     system = particles(particle.filter_step(FILTER._replace(resample=tuning.fading(FILTER.resample, 0.9))), 64)
     problem = tuning.Problem(

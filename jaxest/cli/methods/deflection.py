@@ -60,7 +60,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
         raise InputError("--sensors: the deflection's sensors are those of the config; leave tables out there")
     settings, log = request.settings, to_si(log)
     described, robot = sensors(settings), kinematics.load(request.robot)
-    names = _joints(robot, settings)
+    names = joint_names(robot, settings)
     described = [deflection_streams.on_robot(log, robot, names, one) for one in described]
     steps, measurements, notes = deflection_streams.measurements(log, robot, names, described, request.nan)
     found = _run(robot, names, described, settings, measurements)
@@ -84,7 +84,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     return Outcome(SensorLog(written, log.source), rows, notes, _refused(found), draw)
 
 
-def _joints(robot: Any, settings: Mapping[str, Any]) -> tuple[str, ...]:
+def joint_names(robot: Any, settings: Mapping[str, Any]) -> tuple[str, ...]:
     """Names of the joints that are estimated."""
     from jaxest.sensors.joints import chosen
 
@@ -109,12 +109,12 @@ def _number(settings: Mapping[str, Any], key: str, size: int, *, signed: bool = 
     return value.astype(np.float32)
 
 
-def _run(
-    robot: Any, names: tuple[str, ...], described: list[Described], settings: Mapping[str, Any], measurements: Any
-) -> Estimated:
+def system(
+    robot: Any, names: tuple[str, ...], described: list[Described], settings: Mapping[str, Any], **options: Any
+) -> tuple[Any, Any]:
+    """Return the filter that the config describes, and its parameters in float32; `options` go to `build`."""
     import jax
 
-    from jaxest.filters import run
     from jaxest.systems import deflection
 
     proposal = _choice(settings, "proposal", PROPOSALS)
@@ -124,13 +124,24 @@ def _run(
     noise = {"von_mises": deflection.von_mises, "gaussian": deflection.gaussian}[_choice(settings, "noise", NOISES)]
     given = {key: _number(settings, key, len(names), signed=key in ("start", "compliance"))
              for key in ("walk", "prior", "start", "compliance") if key in settings}  # fmt: skip
-    system = deflection.build(
+    built = deflection.build(
         robot, [one.sensor for one in described], joints=names, particles=count, noise=noise, sag="compliance" in given,
-        proposal={"guided": deflection.guided, "bootstrap": deflection.bootstrap}[proposal],
+        proposal={"guided": deflection.guided, "bootstrap": deflection.bootstrap}[proposal], **options,
     )  # fmt: skip
-    params = jax.tree.map(lambda x: np.asarray(x, np.float32), system.default_params._replace(**given))
+    return built, jax.tree.map(lambda x: np.asarray(x, np.float32), built.default_params._replace(**given))
+
+
+def _run(
+    robot: Any, names: tuple[str, ...], described: list[Described], settings: Mapping[str, Any], measurements: Any
+) -> Estimated:
+    import jax
+
+    from jaxest.filters import run
+    from jaxest.systems import deflection
+
+    built, params = system(robot, names, described, settings)
     key = jax.random.key(settings.get("seed", 0))
-    _, history = run(system.step, params, system.init(params, key=key), measurements, key=key,
+    _, history = run(built.step, params, built.init(params, key=key), measurements, key=key,
                      history=deflection.with_interval)  # fmt: skip
     info = history.info
     mean, covariance, ess, evidence = (

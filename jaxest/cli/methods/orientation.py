@@ -50,8 +50,8 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     """
     log = to_si(log)
     choice = choose(log, request)
-    steps = _steps(log, choice, request.nan)
-    info = _run(choice, steps)
+    steps = merged(log, choice, request.nan)
+    info = orientation_filters.run(choice.filter, choice.kinds, measurements(choice, steps))
     valid = np.asarray(info.valid)
 
     def known(a: Any) -> Any:
@@ -68,7 +68,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     if bias is not None:
         streams["gyroscope_bias"] = Stream(steps.time, bias, "rad/s", "sensor")
     written = SensorLog(streams, log.source)
-    truth, movement, name = _truth(log, choice, steps.time)
+    truth, movement, name = known_truth(log, choice, steps.time)
     rows = [Row(SIZE[0], "", float(len(steps.time)), "1"),
             Row(SIZE[1], "", float(steps.time[-1] - steps.time[0]), "s")]  # fmt: skip
     by = f"the filter {choice.filter.name}, {'smoothed' if choice.filter.smooth else 'online'}"
@@ -142,8 +142,8 @@ def _only_imu(log: SensorLog) -> str:
     return found[0] if found else ""
 
 
-def _steps(log: SensorLog, choice: Choice, nan: str) -> Any:
-    """Merge the streams; the gyroscope's last reading stands in at ticks that only another sensor has."""
+def merged(log: SensorLog, choice: Choice, nan: str) -> Any:
+    """Return the streams as `Ticks`; the gyroscope's last reading stands in where only another sensor has one."""
     gyro = stream(log, choice.names[0])
     interval = float(np.median(np.diff(gyro.time))) if len(gyro.time) > 1 else 0.0
     if nan == "error":
@@ -158,14 +158,15 @@ def _steps(log: SensorLog, choice: Choice, nan: str) -> Any:
     return steps._replace(readings={**steps.readings, choice.names[0]: Reading(*held)})
 
 
-def _run(choice: Choice, steps: Any) -> orientation_filters.Estimate:
+def measurements(choice: Choice, steps: Any) -> Any:
+    """Return what `merged` gave as the filters' measurements, `complementary.Imu` with leaves (T, ...)."""
     from jaxest.filters.complementary import Imu
 
     gyr, acc, mag = (steps.readings.get(choice.prefix + kind) for kind in KINDS)
-    return orientation_filters.run(choice.filter, choice.kinds, Imu(gyr, acc, mag, steps.dt))
+    return Imu(gyr, acc, mag, steps.dt)
 
 
-def _truth(
+def known_truth(
     log: SensorLog, choice: Choice, time: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64] | None, NDArray[np.bool_] | None, str]:
     """The log's own orientation and movement at the estimate's times, if it has them, and the orientation's name."""

@@ -109,23 +109,29 @@ def run(chosen: Chosen, sensors: tuple[str, ...], measurements: Any) -> Estimate
     """
     import jax
 
-    from jaxest.filters import attitude, complementary
+    from jaxest.filters import attitude
     from jaxest.filters import run as scan
-    from jaxest.systems import orientation
 
-    module = importlib.import_module(FILTERS[chosen.name])
-    plain = chosen.name == "complementary"
-    update = {"exponential": complementary.exponential, "projection": complementary.projection}[chosen.update]
-    system = orientation.build(sensors=sensors, filter=module, update=update, covariance=plain)
+    built = system(chosen, sensors, covariance=chosen.name == "complementary")
     params = jax.tree.map(np.float32, chosen.params)
     if chosen.smooth:
         typical = float(np.median(measurements.dt[1:])) if len(measurements.dt) > 1 else 0.0
         block = max(1, round(float(chosen.params.interval) / typical)) if typical > 0 else 1
-        info: Any = attitude.smooth(params, system.init(params), measurements, block=block)
+        info: Any = attitude.smooth(params, built.init(params), measurements, block=block)
     else:
-        _, info = scan(system.step, params, system.init(params), measurements)
+        _, info = scan(built.step, params, built.init(params), measurements)
     found = (getattr(info, name, None) for name in Estimate._fields)
     return Estimate(*(None if value is None else np.asarray(value) for value in found))
+
+
+def system(chosen: Chosen, sensors: tuple[str, ...], *, covariance: bool = False) -> Any:
+    """Return a filter's `System`; `covariance` is for the complementary filter, whose `Params` it changes."""
+    from jaxest.filters import complementary
+    from jaxest.systems import orientation
+
+    module = importlib.import_module(FILTERS[chosen.name])
+    update = {"exponential": complementary.exponential, "projection": complementary.projection}[chosen.update]
+    return orientation.build(sensors=sensors, filter=module, update=update, covariance=covariance)
 
 
 def _params(name: str) -> Any:

@@ -1,0 +1,97 @@
+"""What `jaxest tune` can tune, one file a method: how logs and a config become an objective and free parameters.
+
+A tunable is a module with `prepare(sources, request, goal, free) -> Tunable`, named in `TUNABLE` and loaded when asked
+for.
+"""
+
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from jaxest.cli.methods import Request
+from jaxest.io import SensorLog
+from jaxest.types import InputError, unknown_name
+
+TUNABLE = {"orientation": "jaxest.cli.tunable.orientation", "deflection": "jaxest.cli.tunable.deflection"}
+"""Name of a method, and the module that tunes it."""
+GOALS = ("error", "likelihood")
+
+
+class Source(NamedTuple):
+    """A log to tune on, and the one that holds its truth, which may be the same."""
+
+    log: SensorLog
+    truth: SensorLog | None
+
+
+class Tunable(NamedTuple):
+    """A tuning that can start."""
+
+    objective: Any
+    """A `jaxest.tuning.Objective`."""
+    space: Any
+    """A `jaxest.tuning.Space`."""
+    recordings: list[Any]
+    """`jaxest.tuning.Recording`, one a log."""
+    label: str
+    """What the objective is, for people."""
+    unit: str
+    scale: float
+    """From the objective to that unit."""
+    method: Any
+    """A `jaxest.tuning.Method`."""
+    windows: Any
+    """`jaxest.tuning.Windows`, or None."""
+    settings: Callable[[Any], dict[str, Any]]
+    """`params -> ` the config's table of the method, tuned."""
+    dtype: Any
+
+
+def prepare(
+    method: str, sources: Sequence[Source], request: Request, goal: str, free: Mapping[str, str | None]
+) -> Tunable:
+    """Prepare the tuning of a method.
+
+    Args:
+        method: one of `TUNABLE`.
+        sources: the logs.
+        request: the robot and the config's table.
+        goal: one of `GOALS`, or empty for what fits the method and the logs.
+        free: path -> name of a constraint, or None for the usual one; empty for the method's own choice.
+
+    Returns:
+        The tuning.
+
+    Raises:
+        InputError: a name is unknown, or the logs cannot be used.
+    """
+    if method not in TUNABLE:
+        raise unknown_name("method", method, TUNABLE)
+    if goal and goal not in GOALS:
+        raise unknown_name("objective", goal, GOALS)
+    return importlib.import_module(TUNABLE[method]).prepare(sources, request, goal, free)
+
+
+def constrained(free: Mapping[str, str | None], default: Sequence[str]) -> dict[str, Any]:
+    """Turn names of constraints into constraints, or take a method's own choice of free parameters."""
+    from jaxest.tuning import transforms
+
+    if not free:
+        return dict.fromkeys(default)
+    return {path: None if name is None else transforms.named(name) for path, name in free.items()}
+
+
+def plain(value: Any) -> Any:
+    """Return a parameter as a config writes it: numbers of six digits, in lists."""
+    import numpy as np
+
+    array = np.asarray(value, float)
+    return float(f"{float(array):.6g}") if array.shape == () else [plain(entry) for entry in array]
+
+
+def refuse_goal(method: str, goal: str, possible: str) -> InputError:
+    """Build the error for an objective that a method does not have."""
+    return InputError(f"--objective {goal}: the method {method!r} is tuned by {possible}")
+
+
+__all__ = ["GOALS", "TUNABLE", "Source", "Tunable", "constrained", "plain", "prepare", "refuse_goal", "unknown_name"]

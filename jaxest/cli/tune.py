@@ -1,0 +1,227 @@
+"""`jaxest tune`: from logs to the config under which a method does best on them."""
+
+import importlib.util
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from jaxest.cli.output import (
+    DONE,
+    Answer,
+    Force,
+    Json,
+    Verbose,
+    bad_input,
+    command,
+    console,
+    json_object,
+    note,
+    warn,
+    working,
+)
+
+NAME = "tune"
+EXAMPLES = (
+    "jaxest tune walk1.npz walk2.npz walk3.npz --method orientation --held-out 1",
+    "jaxest tune trial.npz -m orientation -c start.toml --free proportional_gain,integral_gain --starts 8",
+    "jaxest tune a.npz b.npz -m deflection --robot arm.urdf -c sensors.toml --free walk,sensors.encoders.concentration",
+)
+SHOWN = 12  # parameters that a picture has room for
+
+
+@command
+def run(
+    logs: Annotated[list[Path], typer.Argument(help="Logs to tune on.")],
+    method: Annotated[str, typer.Option("--method", "-m", help="What to tune: orientation, deflection.")],
+    robot: Annotated[
+        Path | None, typer.Option("--robot", "-r", help="Robot (MJCF, URDF), where one is needed.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option("--config", "-c", help="TOML to start from.")] = None,
+    truth: Annotated[
+        list[Path] | None,
+        typer.Option("--truth", "-t", help="Log with the truth, one for each log; the log's own if left out."),
+    ] = None,
+    objective: Annotated[str, typer.Option(help="error or likelihood; what fits the method if left out.")] = "",
+    free: Annotated[
+        str | None,
+        typer.Option(help="Parameters to move, separated by commas: walk, a+b ties two, walk=positive names a range."),
+    ] = None,
+    starts: Annotated[int, typer.Option(min=1, help="How many starts; the config's own is the first.")] = 4,
+    spread: Annotated[float, typer.Option(min=0, help="How far apart they are; 1 is a factor e.")] = 1.0,
+    held_out: Annotated[int, typer.Option(min=0, help="How many logs, the last, only judge.")] = 0,
+    evaluations: Annotated[int, typer.Option(min=1, help="Evaluations of each start, at most.")] = 60,
+    seed: Annotated[int, typer.Option(help="Of starts, mini-batches and particles.")] = 0,
+    checkpoint: Annotated[
+        Path | None, typer.Option(help="File for the search's state; where it exists, the search goes on from it.")
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Tuned config to write; a picture goes beside it.")] = Path(
+        "tuned.toml"
+    ),
+    force: Force = False,
+    json: Json = False,
+    verbose: Verbose = False,
+) -> Answer:
+    """Tune a method's parameters on logs by gradient, and write a config for `estimate`.
+
+    Printed are each parameter's standard error, and which the logs cannot tell: those are better left alone.
+    """
+    del verbose
+    from jaxest.cli import tunable
+    from jaxest.io import write_config
+    from jaxest.io.report import report
+
+    picture = out.with_suffix(".png")
+    draws = importlib.util.find_spec("matplotlib") is not None
+    for file in (out, picture) if draws else (out,):
+        if file.exists() and not force:
+            raise bad_input(f"{file} exists already and is kept; pass --force to replace it")
+    if method not in tunable.TUNABLE:
+        raise tunable.unknown_name("method", method, tunable.TUNABLE)
+    chosen, given = _prepare(logs, truth, method, robot, config, objective, free)
+    if held_out >= len(given.recordings):
+        raise bad_input(f"--held-out {held_out}: got {len(logs)} logs, expected at least one to tune on")
+    begun = time.perf_counter()
+    with working("tuning ...") as say:
+        found, rows = _search(given, starts, spread, held_out, evaluations, seed, checkpoint, say)
+    tables = {**({"columns": chosen.columns} if chosen.columns else {}), "nan": chosen.nan, **chosen.tables}
+    write_config(out, {**tables, method: given.settings(found.params)}, overwrite=force)
+    if draws:
+        _draw(picture, given, found, held_out > 0, f"{method}: {given.label}")
+    shown = _rows(given, found, rows, held_out, time.perf_counter() - begun)
+    loose = [row.name for row in rows if not row.identified]
+    if loose:
+        warn(f"these logs do not tell {', '.join(loose)}: its standard error is larger than a factor e")
+    if json:
+        return Answer(json_object(report(NAME, shown), unidentified=loose))
+    from jaxest.cli.tables import figures
+
+    page = console()
+    page.print(figures(shown, f"{method}: {given.label}, {len(given.recordings)} log(s), stopped: {found.stopped}"))
+    page.print(f"wrote {out}" + (f", {picture}" if draws else ""), soft_wrap=True)
+    return Answer(status=DONE)
+
+
+def _prepare(
+    logs: list[Path], truth: list[Path] | None, method: str, robot: Path | None, config: Path | None, objective: str,
+    free: str | None,
+) -> tuple[Any, Any]:  # fmt: skip
+    """Read everything and let the method make a tuning of it."""
+    from jaxest.cli import methods, settings, tunable
+    from jaxest.io import read
+    from jaxest.io.files import existing
+
+    if truth and len(truth) != len(logs):
+        raise bad_input(f"--truth: got {len(truth)} for {len(logs)} logs, expected one each, or none")
+    if robot is not None:
+        existing(robot)
+    chosen = settings.load(config)
+    sources = []
+    for i, path in enumerate(logs):
+        log = read(path, chosen.columns)
+        if log.notes:
+            note(f"{path.name}: {'; '.join(log.notes)}")
+        sources.append(tunable.Source(log, read(truth[i]) if truth else log))
+    request = methods.Request(chosen.method(method), None, chosen.nan, robot)
+    return chosen, tunable.prepare(method, sources, request, objective, _free(free))
+
+
+def _free(text: str | None) -> dict[str, str | None]:
+    """`a+b,c=positive` as paths and names of constraints."""
+    found: dict[str, str | None] = {}
+    for part in (text or "").split(","):
+        path, _, name = part.strip().partition("=")
+        if path:
+            found[path.strip()] = name.strip() or None
+    return found
+
+
+def _search(
+    given: Any, starts: int, spread: float, held_out: int, evaluations: int, seed: int, checkpoint: Path | None,
+    say: Callable[[str], None],
+) -> tuple[Any, list[Any]]:  # fmt: skip
+    """Run the search, kept in a checkpoint if one is named, and judge where it ended."""
+    import jax
+
+    from jaxest import tuning
+    from jaxest.io import load_state, save_state
+
+    batch = tuning.padded(given.recordings)
+    count = len(given.recordings) - held_out
+    parts = tuning.take(batch, slice(0, count)), tuning.take(batch, slice(count, None)) if held_out else None
+    problem = tuning.Problem(given.objective, given.space, windows=given.windows)
+    draw, key = jax.random.split(jax.random.key(seed))
+    points = tuning.disperse(given.space, starts, key=draw, spread=spread, dtype=given.dtype)
+    search = tuning.begin(problem, given.method, points)
+    if checkpoint is not None and checkpoint.exists():
+        search = load_state(checkpoint, search)
+
+    def keep(search: Any) -> None:
+        if checkpoint is not None:
+            save_state(checkpoint, search, overwrite=True)
+
+    def progress(line: str) -> None:
+        say(f"{line} {given.unit}" if given.scale == 1 else _scaled(line, given))
+
+    noisy = given.objective.random
+    found = tuning.minimise(
+        problem, parts[0], method=given.method, search=search, held_out=parts[1], evaluations=evaluations,
+        key=key if noisy or given.windows else None, progress=progress, keep=keep,
+    )  # fmt: skip
+    say("standard errors ...")
+    whole = tuning.Problem(given.objective, given.space)
+    keys = jax.random.split(jax.random.fold_in(key, evaluations), 8) if noisy else None
+    return found, tuning.estimates(whole, found.point, tuning.curvature(whole, found.point, parts[0], keys))
+
+
+def _scaled(line: str, given: Any) -> str:
+    words, _, value = line.rpartition(" ")
+    return f"{words} {float(value) * given.scale:.5g} {given.unit}"
+
+
+def _rows(given: Any, found: Any, estimates: list[Any], held_out: int, took: float) -> list[Any]:
+    import numpy as np
+
+    from jaxest.io.report import Row
+
+    trace, best = found.trace, int(np.argmin(np.where(np.isfinite(found.values), found.values, np.inf)))
+    rows = []
+    if len(trace.value):
+        last = np.flatnonzero(trace.taken[:, best])
+        end = trace.value[last[-1], best] if last.size else float("nan")
+        rows.append(Row(given.label, "tuned", float(end * given.scale), given.unit, n=len(given.recordings) - held_out,
+                        reference=float(trace.value[0, 0] * given.scale), reference_name="start"))  # fmt: skip
+        if held_out:
+            rows.append(Row(given.label, "held out", float(found.value * given.scale), given.unit, n=held_out,
+                            reference=float(trace.held_out[0, 0] * given.scale), reference_name="start"))  # fmt: skip
+        spread = float(np.ptp(found.values[np.isfinite(found.values)])) * given.scale
+        rows.append(Row("best of each start", "largest less smallest", spread, given.unit, n=len(found.values)))
+    for row in estimates:
+        known = "" if row.identified else ", not identified"
+        rows.append(Row(row.name, f"free{known}", row.value, "1", spread=row.sd if np.isfinite(row.sd) else None,
+                        reference=row.start, reference_name="start"))  # fmt: skip
+        rows.append(Row(row.name, "rise of the objective by 10 %", row.rise * given.scale, given.unit))
+    rows.append(Row("evaluations", f"stopped: {found.stopped}", float(int(found.search.index)), "1"))
+    return [*rows, Row("run time", "compilation included", took, "s")]
+
+
+def _draw(path: Path, given: Any, found: Any, judged: bool, title: str) -> None:
+    import jax
+    import numpy as np
+
+    from jaxest.viz import tuning
+
+    trace = found.trace
+    if not len(trace.value):
+        return
+    values, held = np.array(trace.value) * given.scale, np.array(trace.held_out) * given.scale
+    points = np.array(jax.vmap(jax.vmap(given.space.values))(trace.point))
+    for i, taken in enumerate(trace.taken):  # what was tried and refused is not drawn
+        for series in (values, held, points):
+            series[i, ~taken] = series[i - 1, ~taken] if i else np.nan
+    best = int(np.argmin(np.where(np.isfinite(found.values), found.values, np.inf)))
+    kept = slice(0, SHOWN)
+    tuning.draw(path, values, points[..., kept], names=given.space.names[kept], best=best,
+                held_out=held if judged else None, label=given.unit, title=title)  # fmt: skip

@@ -1,0 +1,105 @@
+"""`jaxest tune`: a config that is better than the one it started from, and all that may be wrong with a request."""
+
+import json
+import tomllib
+
+import jax
+import numpy as np
+import pytest
+
+from jaxest.io import SensorLog, Stream, write
+from jaxest.systems import orientation
+
+PLAIN = "[orientation]\nproportional_gain = 3.0\nintegral_gain = 0.0012\n"
+TUNE = ("--method", "orientation", "--config", "start.toml", "-o", "tuned.toml")
+
+
+def shaken(seed, n=400, hz=50.0):
+    """A log of an IMU that is turned and shaken, with its truth."""
+    system = orientation.build(sensors=("gyroscope", "accelerometer"))
+    measurements, truth = jax.tree.map(
+        lambda x: np.asarray(x, np.float64),
+        system.simulate(system.default_params, key=jax.random.key(seed), steps=n, rate_hz=hz, shaking=1.0),
+    )
+    time = np.arange(n) / hz
+    streams = {
+        "gyroscope": Stream(time, measurements.gyroscope.value, "rad/s"),
+        "accelerometer": Stream(time, measurements.accelerometer.value, "m/s2"),
+        "orientation": Stream(time, truth.quaternion, "1"),
+    }
+    return SensorLog(streams)
+
+
+@pytest.fixture
+def files(tmp_path):
+    """Three logs, one without its truth, and a config whose gain is much too high."""
+    for i in range(2):
+        write(shaken(i), tmp_path / f"{i}.npz")
+    log = shaken(2)
+    write(SensorLog({"orientation": log.streams["orientation"]}), tmp_path / "truth.npz")
+    write(SensorLog({k: v for k, v in log.streams.items() if k != "orientation"}), tmp_path / "blind.npz")
+    (tmp_path / "start.toml").write_text(PLAIN)
+    return tmp_path
+
+
+def test_gains_are_tuned_written_and_better(invoke, files):
+    result = invoke("tune", "0.npz", "1.npz", *TUNE, "--starts", 2, "--evaluations", 12, "--json")
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.stdout)
+    rows = {(row["metric"], row["condition"]): row for row in report["rows"]}
+    fitted = next(row for (_, condition), row in rows.items() if condition == "tuned")
+    assert fitted["value"] < 0.8 * fitted["reference"]
+    tuned = tomllib.loads((files / "tuned.toml").read_text())
+    assert set(tuned["orientation"]) == {"filter", "proportional_gain", "integral_gain"}
+    assert tuned["orientation"]["proportional_gain"] < 2.0
+    assert (files / "tuned.png").stat().st_size > 5000
+    plain, better = (
+        json.loads(invoke("estimate", "0.npz", "-m", "orientation", "-c", config, "-o", config[:-5], "--json").stdout)
+        for config in ("start.toml", "tuned.toml")
+    )
+    wrong = [next(r["value"] for r in one["rows"] if r["metric"] == "inclination RMSE") for one in (plain, better)]
+    assert wrong[1] < wrong[0]
+    assert invoke("tune", "0.npz", *TUNE).exit_code == 2  # the config is kept unless forced
+
+
+@pytest.mark.slow
+def test_a_kept_search_goes_on(invoke, files):
+    words = ("tune", "0.npz", *TUNE, "--starts", 1, "--checkpoint", "kept.npz", "--force", "--json", "--evaluations")
+    for evaluations in (2, 4):
+        rows = {row["metric"]: row for row in json.loads(invoke(*words, evaluations).stdout)["rows"]}
+        assert rows["evaluations"]["value"] == evaluations
+
+
+@pytest.mark.slow
+def test_a_truth_of_its_own_and_a_judge(invoke, files):
+    result = invoke("tune", "0.npz", "blind.npz", *TUNE, "--truth", "0.npz", "--truth", "truth.npz", "--held-out", 1,
+                    "--starts", 1, "--evaluations", 3, "--free", "proportional_gain=positive")  # fmt: skip
+    assert result.exit_code == 0, result.output
+    assert "held out" in result.stdout
+    assert "wrote tuned.toml" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("0.npz", "--free", "proportional_gian"), ["'proportional_gian'", "'proportional_gain'"]),
+        (("0.npz", "--free", "proportional_gain=positiv"), ["'positiv'", "'positive'"]),
+        (("0.npz", "--free", "integral_gain=bingham"), ["integral_gain", "largest is 0"]),
+        (("0.npz", "--held-out", 1), ["--held-out 1", "at least one"]),
+        (("blind.npz",), ["no true orientation", "--truth"]),
+        (("0.npz", "1.npz", "--truth", "truth.npz"), ["--truth", "one each"]),
+        (("0.npz", "--objective", "likelihood"), ["likelihood", "error"]),
+        (("0.npz", "--objective", "eror"), ["'eror'", "'error'"]),
+        (("absent.npz",), ["absent.npz", "no such file"]),
+    ],
+)
+def test_bad_requests(refused, files, words, said):
+    message = refused("tune", *words, *TUNE)
+    for part in said:
+        assert part in message
+    assert not (files / "tuned.toml").exists()
+
+
+def test_bad_method(refused, files):
+    assert "'orientation'" in refused("tune", "0.npz", "-m", "orientaton", "-o", "x.toml")
+    assert "--robot" in refused("tune", "0.npz", "-m", "deflection", "-o", "x.toml")
