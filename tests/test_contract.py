@@ -311,3 +311,25 @@ def test_the_dtype_of_the_input_stays(case, name):
     state0 = jax.eval_shape(case.start, params)
     out = jax.eval_shape(partial(run, case.system.step, key=case.key), params, state0, measurements)
     assert {str(x.dtype) for x in jax.tree.leaves(out) if jnp.issubdtype(x.dtype, jnp.floating)} == {name}
+
+
+def test_no_number_is_lost_without_a_word(case):
+    """Any pattern of missing sensors, steps from microseconds to minutes, readings of any scale: what is not finite in
+    an info has a status beside it. BATCH random cases a row."""
+
+    def odd(seed):
+        random = np.random.default_rng(seed)
+        changed = {}
+        for name in sensors(case.measurements):
+            value, valid = getattr(case.measurements, name)
+            scale = 10.0 ** random.uniform(-9, 9, (STEPS,) + (1,) * (np.ndim(value) - 1)) if seed % 2 else 1.0
+            seen = random.random(np.shape(valid)) < random.uniform()
+            changed[name] = Reading(jnp.asarray(value * scale), jnp.asarray(np.asarray(valid) & seen))
+        spread = random.uniform(-4, 4) if seed % 4 > 1 else 0.0
+        return case.measurements._replace(**changed, dt=case.measurements.dt * 10.0**spread)
+
+    for _, history in case.runs(*((case.params, odd(seed)) for seed in range(BATCH))):
+        told = np.asarray(history.status) != OK
+        for path, leaf in jax.tree_util.tree_leaves_with_path(history):
+            lost = ~np.isfinite(np.asarray(leaf, float)).reshape(STEPS, -1).all(axis=1)
+            assert not np.any(lost & ~told), f"{jax.tree_util.keystr(path)} at steps {np.flatnonzero(lost & ~told)}"
