@@ -28,7 +28,7 @@ def read_table(path: PathLike, columns: list[str] | None = None) -> Any:
     pyarrow, parquet = need("pyarrow", "parquet", path), need("pyarrow.parquet", "parquet", path)
     try:
         file = parquet.ParquetFile(path, page_checksum_verification=True)
-    except (pyarrow.ArrowException, OSError) as error:
+    except (pyarrow.ArrowException, OSError, UnicodeDecodeError) as error:
         raise InputError(
             f"{path}: not a readable Parquet file ({error}); its index stands at its end, so that of a truncated one "
             "nothing can be read"

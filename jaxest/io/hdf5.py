@@ -43,10 +43,10 @@ def load(path: PathLike) -> Raw:
         _attributes(name, item, arrays)
         if not isinstance(item, h5py.Dataset):
             return
-        if item.nbytes > _LARGE and item.nbytes > _ODD_RATIO * max(item.id.get_storage_size(), 1):
-            broken[name] = f"dataset {name!r} claims {item.nbytes} bytes and stores {item.id.get_storage_size()}"
-            return
         try:
+            if item.nbytes > _LARGE and item.nbytes > _ODD_RATIO * max(item.id.get_storage_size(), 1):
+                broken[name] = f"dataset {name!r} claims {item.nbytes} bytes and stores {item.id.get_storage_size()}"
+                return
             _dataset(name, item, h5py, arrays, refused)
         except (OSError, RuntimeError, ValueError, TypeError) as error:
             broken[name] = f"dataset {name!r} cannot be read ({error})"

@@ -245,7 +245,8 @@ def _gyroscope(log: SensorLog, name: str, item: Stream) -> list[str]:
 
 
 def _quaternions(log: SensorLog, name: str, item: Stream, finite: NDArray[np.bool_]) -> list[str]:
-    length = np.linalg.norm(item.value[finite].astype(np.float64), axis=1)
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(item.value[finite].astype(np.float64), axis=1)
     off = np.abs(length - 1) > _UNIT_LENGTH
     if off.any():
         row = int(np.flatnonzero(finite)[np.argmax(off)])

@@ -42,7 +42,7 @@ def load(path: PathLike) -> Raw:
                     refused[name] = value
                 else:
                     arrays[name] = value
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a readable NPZ file ({error}); expected a zip of .npy arrays") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error

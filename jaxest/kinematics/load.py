@@ -49,7 +49,10 @@ def load(source: str | Path | mujoco.MjModel) -> Robot:
     name, model, massless, notes = _compile(source)
     for note in notes:
         _log.warning("%s: %s", name, note)
-    return _robot(name, model, massless, tuple(notes))
+    try:
+        return _robot(name, model, massless, tuple(notes))
+    except UnicodeDecodeError as error:  # MuJoCo reads bytes, whatever the encoding
+        raise InputError(f"{name}: a name is not UTF-8 text ({error.reason}); expected a file in UTF-8") from None
 
 
 def compile_model(source: str | Path) -> mujoco.MjModel:
