@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
+from jaxest.derivatives import settled
 from jaxest.kinematics import components as c
 from jaxest.kinematics.coordinates import (
     Links,
@@ -42,7 +43,7 @@ def joint_poses(planned: Plan, constants: Links, q: Array) -> Pose:
     Returns:
         The poses that the plan keeps: components (k,), or (k, 3) and (k, 4) where it wants them stacked.
     """
-    return scan_poses(planned, constants, q)
+    return settled(scan_poses(planned, constants, q))
 
 
 @partial(joint_poses.defjvp, symbolic_zeros=True)
@@ -73,7 +74,7 @@ def _joint_poses_jvp(planned: Plan, primals: tuple[Links, Array], tangents: Any)
     twists = rotation, c.add(translation, c.cross(whole.position, rotation))
     pose = jax.tree.map(lambda x: take(x, planned.kept), whole)
     rate = _moved(pose, *_running_sum(planned, twists))
-    return (pose.stacked(), rate.stacked()) if planned.stacked else (pose, rate)
+    return settled((pose.stacked(), rate.stacked()) if planned.stacked else (pose, rate))
 
 
 def _moved(pose: Pose, rotation: c.Vector, translation: c.Vector) -> Pose:

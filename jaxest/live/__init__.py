@@ -9,12 +9,13 @@ faster way.
 """
 
 from jaxest.live.keeper import Checkpoint, resume
-from jaxest.live.latency import Latency
+from jaxest.live.latency import EDGES, Latency
 from jaxest.live.loop import Outcome, drive
 from jaxest.live.measure import measurement_of
 from jaxest.live.sources import IDLE, Sample, from_file, from_queue, from_udp, parse
 
 __all__ = [
+    "EDGES",
     "IDLE",
     "Checkpoint",
     "Latency",

@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 
+from jaxest.derivatives import settled
 from jaxest.filters.particle import _cholesky
 from jaxest.filters.particle._flat import flat
 from jaxest.filters.particle.transition import Transition, log_density
@@ -249,13 +250,15 @@ def _each(function: Callable) -> Callable:
 def _silent(function: Callable[..., Array], *arguments: Any) -> Array:
     """Return zero with the derivative of `function(*arguments)`, which is not computed where none is asked for."""
     shape = jax.eval_shape(function, *arguments)
-    return jnp.zeros(shape.shape, shape.dtype)
+    # Batched where an argument is: a constant would have no batch axis for the derivative to share.
+    touched = [jnp.where(False, jnp.sum(x), 0).astype(shape.dtype) for x in jax.tree.leaves(arguments)]
+    return settled(jnp.zeros(shape.shape, shape.dtype) + sum(touched))
 
 
 @_silent.defjvp
 def _(function: Callable[..., Array], primals: Any, tangents: Any) -> tuple[Array, Array]:
-    value, slope = jax.jvp(function, primals, tangents)
-    return jnp.zeros_like(value), slope
+    _, slope = jax.jvp(function, primals, tangents)
+    return _silent(function, *primals), settled(slope)
 
 
 __all__ = ["LogLikelihood", "Proposal", "Rows", "bootstrap", "differentiated", "guided"]
