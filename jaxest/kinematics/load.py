@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 
 import numpy as np
 
+from jaxest.kinematics.given_inertia import put_back, set_aside, weightless
 from jaxest.kinematics.lean import drop_decoration, drop_meshes, give_unit_inertia
 from jaxest.kinematics.robot import BALL, FREE, HINGE, NQ, SLIDE, Robot, Topology
-from jaxest.types import InputError, unknown_name
+from jaxest.kinematics.urdf import check_text, check_urdf
+from jaxest.types import InputError
 
 if TYPE_CHECKING:
     import mujoco
@@ -108,32 +108,17 @@ def _read(source: str | Path) -> tuple[str, Any]:
     import mujoco
 
     name, inline, text = _text(source)
-    if not re.search(r"<(mujoco|robot)\b", text):
-        found = text.strip().splitlines()[0][:60] if text.strip() else "an empty file"
-        raise InputError(f"{name}: not a robot: expected MJCF (<mujoco>) or URDF (<robot>), found {found!r}")
-    macro = re.search(r"<xacro:\w+", text)
-    if macro:  # MuJoCo would leave it out without a word
-        raise InputError(f"{name}: found {macro[0]}>, expected plain URDF; expand it first: xacro FILE > robot.urdf")
+    check_text(name, text)
+    check_urdf(name, text)
     try:
         spec = mujoco.MjSpec.from_string(text) if inline else mujoco.MjSpec.from_file(name)
     except ValueError as error:
         raise InputError(f"{name}: MuJoCo cannot read it: {_one_line(error)}") from None
-    _check_mimics(name, text)
-    return name, spec
-
-
-def _check_mimics(name: str, text: str) -> None:
-    """Refuse a URDF joint that mimics an unknown one: MuJoCo would let it move freely without a word."""
     try:
-        root = ElementTree.fromstring(text.encode())
-    except ElementTree.ParseError as error:  # MuJoCo's own parser lets more pass
-        raise InputError(f"{name}: not well-formed XML ({error}); expected MJCF or URDF") from None
-    joints = [str(joint.get("name")) for joint in root.iter("joint")]
-    for joint in root.iter("joint"):
-        for mimic in joint.iter("mimic"):
-            leader = str(mimic.get("joint"))
-            if leader not in joints:
-                raise InputError(f"{name}: joint {joint.get('name')!r} mimics: {unknown_name('joint', leader, joints)}")
+        _ = [part.name for group in (spec.bodies, spec.joints, spec.sites, spec.geoms) for part in group]
+    except UnicodeDecodeError as error:
+        raise InputError(f"{name}: a name is not UTF-8 ({error.object!r}); save the file as UTF-8") from None
+    return name, spec
 
 
 def _one_line(error: Exception | Warning | str) -> str:
@@ -148,6 +133,7 @@ def _compile(source: str | Path) -> tuple[str, mujoco.MjModel, tuple[str, ...], 
         notes, massless = drop_meshes(spec)
         drop_decoration(spec)
         empty = [body for body in spec.bodies if body.joints and not body.explicitinertial and not body.geoms]
+        given = set_aside(spec)
         try:
             model = spec.compile()
         except ValueError as error:
@@ -161,11 +147,20 @@ def _compile(source: str | Path) -> tuple[str, mujoco.MjModel, tuple[str, ...], 
             except ValueError as second:
                 raise _refusal(name, second) from None
     notes += dict.fromkeys(_one_line(line) for line in heard)
-    massless = [body for body in massless if model.body_weldid[model.body(body).id] != 0]  # a fixed one weighs nothing
+    put_back(model, given)
+    massless += weightless(model, given)
+    odd, massless = (  # a fixed body's weight does not matter
+        [body for body in group if model.body_weldid[model.body(body).id] != 0] for group in (given, massless)
+    )
+    if odd:
+        notes.append(f"{len(odd)} inertias that no matter has, used as given ({_some(odd)})")
     if massless:
-        shown = ", ".join(massless[:4]) + (", ..." if len(massless) > 4 else "")
-        notes.append(f"kinematics only: no inertia for {len(massless)} bodies ({shown})")
+        notes.append(f"kinematics only: no inertia for {len(massless)} bodies ({_some(massless)})")
     return name, model, tuple(massless), notes
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
 
 
 def _refusal(name: str, error: Exception) -> InputError:
@@ -183,7 +178,7 @@ def _robot(source: str, model: mujoco.MjModel, massless: tuple[str, ...], notes:
     kinds = tuple(_KINDS[t] for t in model.jnt_type)
     couplings, coefficients = _couplings(source, model)
     topology = Topology(
-        name=model.names[: model.names.index(b"\0")].decode() or "robot",
+        name=model.names[: model.names.index(b"\0")].decode(errors="replace") or "robot",
         body_names=body_names,
         body_parent=tuple(int(p) - 1 for p in model.body_parentid[1:]),
         joint_names=_names(model, objects.mjOBJ_JOINT, "joint", model.njnt),
@@ -197,6 +192,7 @@ def _robot(source: str, model: mujoco.MjModel, massless: tuple[str, ...], notes:
         massless=massless,
         notes=notes,
     )
+    _check_finite(source, model, topology)
     mass = model.body_mass[1:].copy()
     inertia = _full_inertia(model)
     for index, body in enumerate(body_names):
@@ -224,6 +220,20 @@ def _robot(source: str, model: mujoco.MjModel, massless: tuple[str, ...], notes:
         home=_home(model),
         limits=_limits(model, kinds),
     )
+
+
+def _check_finite(source: str, model: mujoco.MjModel, topology: Topology) -> None:
+    """Refuse numbers that are not: MuJoCo only warns of them."""
+    bodies, joints, sites = topology.body_names, topology.joint_names, topology.site_names
+    body_numbers = (model.body_pos, model.body_quat, model.body_mass[:, None], model.body_ipos, model.body_inertia)
+    for kind, names, numbers in (
+        ("body", bodies, [x[1:] for x in body_numbers]),
+        ("joint", joints, [model.jnt_pos, model.jnt_axis, model.jnt_range]),
+        ("site", sites, [model.site_pos, model.site_quat]),
+    ):
+        for row, name in enumerate(names):
+            if not all(np.isfinite(x[row]).all() for x in numbers):
+                raise InputError(f"{source}: {kind} {name!r}: a number is NaN or infinite")
 
 
 def _names(model: mujoco.MjModel, kind: Any, stem: str, count: int) -> tuple[str, ...]:

@@ -2,12 +2,15 @@
 
 import logging
 
+import jax
 import mujoco
 import numpy as np
 import pytest
 from robots import PACKAGED, SHARED, source
+from scipy.spatial.transform import Rotation
 
 from jaxest import kinematics, models
+from jaxest.kinematics.load import compile_model
 from jaxest.types import InputError
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -164,6 +167,24 @@ BAD = {
         + "</robot>",
         "found <xacro:include>, expected plain URDF; expand it first",
     ),
+    "macro in a number": (
+        urdf(link("a"), link("b"), '<joint name="j" type="fixed"><origin xyz="${x} 0 0"/></joint>'),
+        r"found \${x}, expected plain URDF",
+    ),
+    "link of nobody": (urdf(link("base"), link("b"), joint("j", "bsae", "b")), "'j': parent: link 'bsae' .* 'base'"),
+    "joint of one link": (urdf(link("a"), '<joint name="j" type="fixed"><parent link="a"/></joint>'), "'j': no <child"),
+    "links in a circle": (
+        urdf(link("a"), link("b"), joint("j", "a", "b"), joint("k", "b", "a")),
+        "links form a circle: a - b - a",
+    ),
+    "two parents": (
+        urdf(link("a"), link("b"), link("c"), joint("j", "a", "c"), joint("k", "b", "c")),
+        "joint 'k': link 'c' hangs on 'a' already",
+    ),
+    "not a number": (
+        '<mujoco><worldbody><body name="up" pos="nan 0 0"><joint/><geom size=".1"/></body></worldbody></mujoco>',
+        "body 'up': a number is NaN",
+    ),
     "free joint below the root": (urdf(link("a"), link("b"), joint("j", "a", "b", "floating")), "'world'"),
 }
 
@@ -184,6 +205,52 @@ def test_files_that_are_no_robots(tmp_path):
     (tmp_path / "b.xml").write_bytes(b"")
     with pytest.raises(InputError, match=r"b.xml: not a robot: .* found 'an empty file'"):
         kinematics.load(tmp_path / "b.xml")
+
+
+def test_files_in_another_encoding_are_refused_only_where_it_matters(tmp_path):
+    file = tmp_path / "a.urdf"
+    text = urdf(link("a"), link("b"), joint("j", "a", "b"))
+    file.write_bytes(("<!-- für --><!-- -- ${x} <xacro:macro> -- -->" + text).encode("latin-1"))
+    assert kinematics.load(file).nq == 1
+    file.write_bytes(text.replace('"b"', '"bügel"').encode("latin-1"))
+    with pytest.raises(InputError, match=r"a.urdf: a name is not UTF-8 \(b'b.*gel'\)"):
+        kinematics.load(file)
+    file.write_bytes(text.encode("utf-16"))
+    with pytest.raises(InputError, match=r"a.urdf: not a text in UTF-8"):
+        kinematics.load(file)
+
+
+def inertial(mass, numbers, rpy="0 0 0"):
+    values = " ".join(f'{key}="{value}"' for key, value in zip(("ixx", "iyy", "izz", "ixy"), numbers, strict=True))
+    turned = f'<origin xyz="0.1 0.2 0.3" rpy="{rpy}"/>'
+    return f'<inertial>{turned}<mass value="{mass}"/><inertia {values} ixz="0" iyz="0"/></inertial>'
+
+
+def test_inertias_that_no_matter_has_are_used_as_given():
+    bodies = [
+        link("a"),
+        f'<link name="flat">{inertial(1.5, (0.01, 0.01, 0.03, 0.002), "0.1 0.2 0.3")}</link>',  # A + B < C
+        f'<link name="frame">{inertial(0, (0, 0, 0, 0))}</link>',
+        f'<link name="tip">{inertial(0.5, (0.01, 0.02, 0.025, 0.001))}</link>',
+        f'<link name="nothing">{inertial(0, (0, 0, 0, 0))}</link>',
+    ]
+    joints = [joint("i", "a", "flat"), joint("j", "flat", "frame"), joint("k", "frame", "tip")]
+    text = urdf(*bodies[:4], *joints)
+    robot = kinematics.load(text)
+    assert robot.notes == ("2 inertias that no matter has, used as given (flat, frame)",)
+    np.testing.assert_allclose(robot.body_mass, [1, 1.5, 0, 0.5])
+    turn = Rotation.from_euler("xyz", [0.1, 0.2, 0.3]).as_matrix()
+    given = np.array([[0.01, 0.002, 0], [0.002, 0.01, 0], [0, 0, 0.03]])
+    np.testing.assert_allclose(robot.body_inertia[robot.frame_names.index("flat")], turn @ given @ turn.T, atol=1e-12)
+    q = np.array([0.3, -0.4, 0.5])
+    model = compile_model(text)
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    with jax.enable_x64(True):
+        np.testing.assert_allclose(kinematics.gravity_torque(robot, q), data.qfrc_bias, atol=1e-12)
+    robot = kinematics.load(urdf(*bodies, *joints, joint("l", "tip", "nothing")))
+    assert "kinematics only: no inertia for 1 bodies (nothing)" in robot.notes
 
 
 def test_what_is_no_source():
