@@ -102,7 +102,7 @@ def _longest(flags: NDArray[np.bool_]) -> tuple[int, int]:
     """Start and stop of the longest run of true; there is one."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     if len(edges) == 0:
-        raise InputError("recording: gyro and accelerometer are never quiet together; let the sensor rest for some seconds")
+        raise InputError("recording: gyro and accelerometer are never quiet together; let it rest for some seconds")
     starts, stops = edges[::2], edges[1::2]
     longest = int(np.argmax(stops - starts))
     return int(starts[longest]), int(stops[longest])
