@@ -11,6 +11,7 @@ from jaxest.kinematics import Frames, Robot, expand, forward, frame
 from jaxest.kinematics.movement import spread
 from jaxest.kinematics.moving import moving_frames
 from jaxest.kinematics.take import take
+from jaxest.manifolds import circle
 from jaxest.sensors import Sensor
 from jaxest.sensors.joints import chosen, columns
 from jaxest.sensors.spec import checked, module
@@ -101,6 +102,24 @@ def _frames(frames: Frames, rows: Sequence[int]) -> Frames:
     return Frames(*(jnp.stack([values[i] for i in rows]) for values in frames))
 
 
+def read(body: Body, params: PyTree, measurement: PyTree) -> tuple[Array, Array]:
+    """Return what encoders say of the joints: angles (d,) rad, and concentrations (d,), 0 where none reads.
+
+    The first sensor that reads a joint counts.
+    """
+    dtype = jnp.result_type(measurement.dt)
+    angle, weight = jnp.zeros(body.size, dtype), jnp.zeros(body.size, dtype)
+    for look in body.looks:
+        if look.kind.FRAMES:
+            continue
+        given, reading, at = getattr(params.sensors, look.name), getattr(measurement, look.name), np.array(look.rows)
+        seen = jnp.asarray(reading.value, dtype) - jnp.asarray(given.offset, dtype)
+        valid = jnp.broadcast_to(jnp.asarray(reading.valid, bool), seen.shape) & (weight[at] == 0)
+        angle = angle.at[at].set(jnp.where(valid, circle.wrap(seen), angle[at]))
+        weight = weight.at[at].set(jnp.where(valid, jnp.asarray(given.concentration, dtype), weight[at]))
+    return angle, weight
+
+
 def log_likelihood(body: Body, params: PyTree, x: Array, measurement: PyTree) -> Array:
     """Return the log-density () of all that is there in a measurement; Sato 2023, eq. 23."""
     total = jnp.zeros((), x.dtype)
@@ -136,4 +155,4 @@ def _moving(body: Body, q: Array) -> tuple[Frames, Array]:
     return moving_frames(robot, q, body.frames, [robot.topology.joint_v[j] for j in body.joints])
 
 
-__all__ = ["Body", "Look", "body", "log_likelihood", "posture", "rows", "views"]
+__all__ = ["Body", "Look", "body", "log_likelihood", "posture", "read", "rows", "views"]

@@ -24,7 +24,7 @@ from jaxest.sensors import Sensor, default_params, measurement_type
 from jaxest.systems import _deflection_body as bodies
 from jaxest.systems._deflection_body import Body
 from jaxest.systems._deflection_simulation import simulate
-from jaxest.systems._deflection_walk import gaussian, von_mises
+from jaxest.systems._deflection_walk import gaussian, guessing, opening, von_mises
 from jaxest.types import Array, ArrayLike, InputError, PyTree, Reading, System
 
 SENSORS = (Sensor("joint_angle", "joints"),)
@@ -72,9 +72,12 @@ def guided(
     *,
     iterations: int = 2,
     defensive: float = 0.0,
+    curved: bool | None = None,
 ) -> Any:
     """Send particles where the sensors that are present say, with exact weights; see `particle.guided`."""
-    return particle.guided(manifold, transition, log_likelihood, rows, iterations=iterations, defensive=defensive)
+    return particle.guided(
+        manifold, transition, log_likelihood, rows, iterations=iterations, defensive=defensive, curved=curved
+    )
 
 
 def build(
@@ -126,7 +129,10 @@ def build(
     body = bodies.body(robot, sensors, joints, others)
     if sag and robot.topology.massless:
         raise InputError(f"sag: bodies without mass: {', '.join(robot.topology.massless)}")
-    manifold, transition = Power(circle, body.size), noise(body.size)
+    manifold, read = Power(circle, body.size), partial(bodies.read, body)
+    transition = guessing(noise(body.size), read)
+    if noise is von_mises:
+        transition = transition._replace(opening=opening(transition, read))
     propose = proposal(manifold, transition, partial(bodies.log_likelihood, body), partial(bodies.rows, body))
     step = particle.filter_step(particle.Model(manifold, propose, resample, ancestors))
     return System(

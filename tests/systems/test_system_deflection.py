@@ -7,8 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from deflection_models import FEW, SENSORS, arm, build
+from scipy.special import i0e
 
-from jaxest import kinematics
+from jaxest import kinematics, models
 from jaxest.filters import run
 from jaxest.manifolds import circle
 from jaxest.sensors import Sensor, measurement_type
@@ -122,6 +123,66 @@ def test_others_come_with_the_measurement_or_stay_at_home():
     assert evidence[0] > evidence[1] + 0.5
     found, _ = system.simulate(params, key=key, steps=2)
     assert found.others.value.shape == (2, 1)
+
+
+@pytest.mark.parametrize(("prior", "walk"), [(0.1, 5.0), (0.0, 2.0), (40.0, 5.0), (3e5, 800.0)])
+def test_the_first_step_knows_the_law_of_the_angles(prior, walk, dtype):
+    """Encoders alone, the evidence of the first step by quadrature; even where the prior says nothing."""
+    sensors = FEW[:1]
+    system = build(deflection.guided, sensors, 2000)
+    params = jax.tree.map(
+        lambda x: jnp.asarray(x, dtype), system.default_params._replace(prior=prior, walk=walk, start=0.4)
+    )
+    read = np.array([0.9, -0.6, 2.9, 0.1]) if prior < 1 else 0.4 + np.array([0.1, -0.6, 0.3, 0.0])
+    measurement = measurement_type(sensors)(
+        Reading(jnp.asarray(read, dtype), jnp.ones(4, bool)), jnp.asarray(0.1, dtype)
+    )
+    step = jax.jit(system.step, compiler_options=QUICK)
+    _, info = step(params, system.init(params, key=jax.random.key(1)), measurement, key=jax.random.key(1))
+    grid = np.linspace(-np.pi, np.pi, 20_001)[:-1]
+
+    def density(x, k):
+        return np.exp(k * (np.cos(x) - 1)) / (2 * np.pi * i0e(k))
+
+    # Noises of all three add on the circle: their Fourier coefficients multiply.
+    waves = np.prod([np.fft.fft(density(grid, k)) for k in (prior, walk, 15.0)], axis=0)
+    both = np.real(np.fft.ifft(waves)) * (grid[1] - grid[0]) ** 2
+    both = np.interp(circle.wrap(read - 0.4), grid, both)  # three grids from -pi on: the sum's starts there, too
+    exact = np.log(both).sum()
+    share = float(info.ess) / 2000
+    assert share > 0.9
+    assert abs(float(info.log_likelihood) - exact) < 4.5 * np.sqrt((1 / share - 1) / 2000) + 5e-3
+
+
+def snake(joints):
+    """A chain of light links whose joints bend by some degrees, with an IMU on every second link."""
+    robot = kinematics.load(models.chain(joints))
+    imus = [Sensor("link_orientation", f"imu{i}", (f"link{i}",)) for i in range(2, joints + 1, 2)]
+    return robot, (Sensor("joint_angle", "encoders"), *imus)
+
+
+@pytest.mark.parametrize("joints", [8, pytest.param(20, marks=pytest.mark.slow)])
+def test_long_chains_keep_their_particles(joints):
+    """IMUs on every second link: the share of particles, and the error beside that of encoders alone."""
+    robot, sensors = snake(joints)
+    torque = jax.vmap(partial(kinematics.gravity_torque, robot))(jnp.zeros((1, joints)))[0]
+    faults = bending.Faults(compliance=jnp.minimum(0.033, 0.25 / jnp.maximum(jnp.abs(torque), 1e-3)))
+    draw = partial(bending.simulate, robot, sensors, duration=1.5, rate_hz=20.0, faults=faults)
+    measurements, truth = jax.jit(lambda key: draw(key=key), compiler_options=QUICK)(jax.random.key(4))
+    system = deflection.build(robot, sensors, particles=256, proposal=deflection.guided)
+    params, key = jax.tree.map(jnp.float32, system.default_params), jax.random.key(1)
+    imus = {s.name: getattr(measurements, s.name) for s in sensors[1:]}
+    blind = measurements._replace(**{n: r._replace(valid=jnp.zeros_like(r.valid)) for n, r in imus.items()})
+    go = jax.jit(
+        lambda m: run(system.step, params, system.init(params, key=key), m, key=key)[1], compiler_options=QUICK
+    )
+    errors = []
+    for given in (measurements, blind):
+        found = go(given)
+        assert np.all(np.asarray(found.status) == 0)
+        assert np.mean(np.asarray(found.ess)) > 0.7 * 256
+        errors.append(np.sqrt(np.mean(np.asarray(circle.wrap(found.mean - truth.angles)) ** 2)))
+    assert errors[0] < errors[1] / 2.5
 
 
 def test_bad_names_are_told():

@@ -16,15 +16,18 @@ Not here: likelihoods of sensors (`jaxest.sensors`), smoothing and parameters (`
 """
 
 from jaxest.filters.particle.filter import Info, Model, State, filter_step, init
-from jaxest.filters.particle.proposal import LogLikelihood, Proposal, Rows, bootstrap, differentiated, guided
+from jaxest.filters.particle.guided import Guided, guided
+from jaxest.filters.particle.proposal import LogLikelihood, Proposal, Rows, bootstrap, differentiated
 from jaxest.filters.particle.summary import Interval, interval, mean_and_covariance
-from jaxest.filters.particle.transition import Transition, gaussian
+from jaxest.filters.particle.transition import Opening, Transition, gaussian
 
 __all__ = [
+    "Guided",
     "Info",
     "Interval",
     "LogLikelihood",
     "Model",
+    "Opening",
     "Proposal",
     "Rows",
     "State",

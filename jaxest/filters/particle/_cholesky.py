@@ -10,32 +10,40 @@ import jax.numpy as jnp
 
 from jaxest.types import Array
 
+_EXACT = jax.lax.Precision.HIGHEST
 
-def normal_equations(residual: Array, jacobian: Array, at: Array, prior: Array) -> Array:
-    """Return the equations whose solution minimises `v' prior v + |residual + jacobian (v - at)|^2`.
+
+def normal_equations(residual: Array, jacobian: Array, at: Array, prior: Array, pull: Array) -> tuple[Array, Array]:
+    """Return the equations whose solution minimises `v' prior v - 2 pull' v + |residual + jacobian (v - at)|^2`.
 
     Args:
         residual: (m, N) with unit noise.
         jacobian: (m, d, N) its derivative.
         at: (d, N) where the residual was taken.
         prior: (d, d) information.
+        pull: (d, N) the prior's information times its mean.
 
     Returns:
-        (d, d + 1, N): prior + J'J, and J'J at - J'r as the last column.
+        (d, d + 1, N): prior + J'J, and pull + J'J at - J'r as the last column; and (N,) what is minimised at v = 0.
     """
     rows = jnp.concatenate([jacobian, -residual[:, None]], axis=1)
 
-    def line(_: None, now: tuple[Array, Array]) -> tuple[None, Array]:
-        i, known = now
+    def line(_: None, now: tuple[Array, Array, Array]) -> tuple[None, Array]:
+        i, known, drawn = now
 
         def add(total: Array, row: Array) -> tuple[Array, None]:
             return total + row * row[i][None], None
 
         total = jax.lax.scan(add, jnp.zeros_like(rows[0]), rows)[0]
-        right = total[-1] + jnp.sum(total[:-1] * at, axis=0)
+        right = total[-1] + jnp.sum(total[:-1] * at, axis=0) + drawn
         return None, jnp.concatenate([total[:-1] + known[:, None], right[None]])
 
-    return jax.lax.scan(line, None, (jnp.arange(prior.shape[0]), prior))[1]
+    def square(total: Array, row: Array) -> tuple[Array, None]:
+        gap = row[-1] + jnp.sum(row[:-1] * at, axis=0)
+        return total + gap * gap, None
+
+    equations = jax.lax.scan(line, None, (jnp.arange(prior.shape[0]), prior, pull))[1]
+    return equations, jax.lax.scan(square, jnp.zeros_like(residual[0]), rows)[0]
 
 
 def factorize(equations: Array, floor: Array) -> Array:
@@ -84,6 +92,37 @@ def solve(factor: Array, right: Array) -> Array:
         return x.at[j].set(value), None
 
     return jax.lax.scan(back, jnp.zeros_like(right), (numbers, factor, right), reverse=True)[0]
+
+
+def turned(equations: Array, basis: Array) -> Array:
+    """Return equations (d, d + 1, N) in the coordinates u of v = basis u, basis (d, d)."""
+    size, _, count = equations.shape
+    half = jnp.matmul(basis.T, equations.reshape(size, -1), precision=_EXACT).reshape(equations.shape)
+    information, right = half[:, :-1], half[:, -1:]
+    across = jnp.matmul(basis.T, jnp.swapaxes(information, 0, 1).reshape(size, -1), precision=_EXACT)
+    return jnp.concatenate([jnp.swapaxes(across.reshape(size, size, count), 0, 1), right], axis=1)
+
+
+def conditional(factor: Array, white: Array, given: Array, known: Array) -> Array:
+    """Draw what is not known of x with L' x = y + white, given what is known.
+
+    Args:
+        factor: (d, d + 1, N) as `factorize` returns it.
+        white: (d, N) standard normals.
+        given: (d, N) the known ones' values.
+        known: (d,) bool; those known come last.
+
+    Returns:
+        x (d, N).
+    """
+
+    def back(x: Array, now: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, None]:
+        j, row, z, kept, keep = now
+        value = (row[-1] + z - jnp.sum(row[:-1] * x, axis=0)) / row[j]
+        return x.at[j].set(jnp.where(keep, kept, value)), None
+
+    rows = (jnp.arange(given.shape[0]), factor, white, given, known)
+    return jax.lax.scan(back, jnp.zeros_like(given), rows, reverse=True)[0]
 
 
 def whiten(factor: Array, value: Array) -> Array:

@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxest.filters.kalman.model import clean
+from jaxest.filters.particle.guided import Guided, take
 from jaxest.filters.particle.proposal import Proposal
 from jaxest.filters.particle.summary import mean_and_covariance
-from jaxest.filters.resampling import Resampler, effective_sample_size, normalize, systematic
+from jaxest.filters.resampling import Resampled, Resampler, effective_sample_size, normalize, systematic
 from jaxest.manifolds.base import Manifold
 from jaxest.types import NON_FINITE, OK, WEIGHTS_VANISHED, Array, ArrayLike, PyTree, Step
 
@@ -103,11 +104,10 @@ def _step(
         raise ValueError("key: got None, expected the key of the run; a particle filter draws random numbers")
     measurement, broken = clean(measurement)
     choice, motion = jax.random.split(jax.random.fold_in(key, state.index))
-    chosen = model.resample(choice, state.log_weights)
-    before = jax.tree.map(lambda x: x[chosen.ancestors], jax.lax.stop_gradient(state.particles))
-    moved, increments = model.propose(params, before, measurement, motion)
+    chosen, before, moved, increments, foreseen = _moved(model, params, state, measurement, choice, motion)
     particles, increments = _finite(before, moved, increments.astype(state.log_weights.dtype))
     log_weights, log_likelihood, vanished = normalize(chosen.log_weights + increments)
+    log_likelihood = log_likelihood + foreseen
     mean, covariance = mean_and_covariance(model.manifold, particles, log_weights)
     status = jnp.where(vanished, WEIGHTS_VANISHED, jnp.where(broken, NON_FINITE, OK)).astype(jnp.int32)
     info = Info(
@@ -119,6 +119,32 @@ def _step(
         status,
     )
     return State(particles, log_weights, state.index + 1), info
+
+
+def _moved(
+    model: Model, params: PyTree, state: State, measurement: PyTree, choice: Array, motion: Array
+) -> tuple[Resampled, PyTree, PyTree, Array, Array]:
+    """Choose who goes on and send them.
+
+    Returns the choice, those who go, where to, their weights' factors, and what of the log-evidence is not in these.
+    """
+    held = jax.lax.stop_gradient(state.particles)
+    if not isinstance(model.propose, Guided):
+        chosen = model.resample(choice, state.log_weights)
+        before = jax.tree.map(lambda x: x[chosen.ancestors], held)
+        return (
+            chosen,
+            before,
+            *model.propose(params, before, measurement, motion),
+            jnp.zeros((), chosen.log_weights.dtype),
+        )
+    ahead, plan = model.propose.look(params, held, measurement, state.index == 0)
+    ahead = jax.lax.stop_gradient(ahead).astype(state.log_weights.dtype)
+    chosen = model.resample(choice, state.log_weights + ahead)
+    _, foreseen, _ = normalize(state.log_weights + ahead)
+    before = jax.tree.map(lambda x: x[chosen.ancestors], held)
+    moved, increments = model.propose.send(params, before, take(plan, chosen.ancestors), measurement, motion)
+    return chosen, before, moved, increments - ahead[chosen.ancestors], foreseen
 
 
 def _finite(before: PyTree, moved: PyTree, increments: Array) -> tuple[PyTree, Array]:

@@ -10,6 +10,23 @@ from jaxest.manifolds.base import Manifold
 from jaxest.types import Array, ArrayLike, PyTree
 
 
+class Opening(NamedTuple):
+    """The law of the first state by itself, for a first step that need not start from the particles drawn before it.
+
+    Particles spread over all states seldom lie within reach of what the first measurement says. All functions, static.
+    A coordinate may keep to the particle's own way; its mean, precision and density are the transition's then.
+    """
+
+    centre: Callable[[PyTree, PyTree, PyTree], PyTree]
+    """`(params, x, measurement) -> x`, near what is measured: the tangent space is taken there."""
+    mean: Callable[[PyTree, PyTree, PyTree], PyTree]
+    """`(params, x, measurement) -> x` of the law."""
+    precision: Callable[[PyTree, PyTree], Array]
+    """`(params, measurement) -> (d,)` of a Gaussian like it; good ones save particles."""
+    log_prob: Callable[[PyTree, PyTree, PyTree, PyTree], Array]
+    """`(params, x, moved, measurement) -> ()` log-density of the first state `moved`, exact."""
+
+
 class Transition(NamedTuple):
     """The next state is `retract(mean(params, x, measurement), v)` with noise v (d,) that does not depend on x.
 
@@ -30,6 +47,11 @@ class Transition(NamedTuple):
     bounded: bool = True
     """Whether noise ends at half a turn, as the density of an angle does: what a proposal draws beyond then weighs
     nothing. False for noise that may go round, such as Gaussian noise of an angle."""
+    guess: Callable[[PyTree, PyTree, PyTree], Array] | None = None
+    """`(params, mean, measurement) -> (d,)` noise that a search for the most probable state had better start from, such
+    as what leads to an encoder's reading; 0 if None. Only `guided` asks."""
+    opening: Opening | None = None
+    """The law of the first state, where it is known in closed form. Only `guided` asks."""
 
 
 def gaussian(
@@ -75,4 +97,4 @@ def log_density(
     return jnp.where(direct, density, -jnp.inf)
 
 
-__all__ = ["Transition", "gaussian", "log_density"]
+__all__ = ["Opening", "Transition", "gaussian", "log_density"]

@@ -1,0 +1,299 @@
+"""A proposal that looks at the measurement first: each particle's own Gaussian about its most probable next state."""
+
+import math
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxest.filters.particle import _cholesky
+from jaxest.filters.particle import _gauss_newton as gauss_newton
+from jaxest.filters.particle._gauss_newton import Prior
+from jaxest.filters.particle.proposal import LogLikelihood, Rows, densities, each
+from jaxest.filters.particle.transition import Opening, Transition
+from jaxest.filters.resampling import normalize
+from jaxest.manifolds.base import Manifold
+from jaxest.types import Array, ArrayLike, PyTree
+
+OPENING = 8  # Gauss-Newton steps of the first step, which may have far to go
+FAR, ASIDE = 1.0, 4  # one particle of so many does not heed a guess so far away, as it may stand rightly
+MANY = 6  # dimensions above which proposals are curved
+REACH = 2.5  # rad, as far as a mode may lie where noise ends at half a turn
+SHARE = 0.01  # of the choice of ancestors that pays no heed to what was foreseen: no weight is above 100 times the mean
+
+
+class Plan(NamedTuple):
+    """Where particles will be sent, made before it is decided which of them go on."""
+
+    centre: PyTree
+    """Leaves (N, ...), where the tangent spaces are taken."""
+    mode: Array
+    """(d, N) of the Gaussians, in the basis."""
+    factor: Array
+    """(d, d + 1, N) of their information, in the basis."""
+    basis: Array | None
+    """(d, d), orthonormal, directions in columns; those come first of which the measurement says most."""
+    wide: Array | None
+    """(d,) bool, the last directions: along these particles spread so far that the measurement bends on the way."""
+    prior: Prior
+    """The Gaussians without the measurement."""
+    first: Array
+    """() bool, whether the law of the first state is used."""
+
+
+class Guided(NamedTuple):
+    """The proposal `guided` makes. Call it, or `look` ahead, choose who goes on, and `send`."""
+
+    manifold: Manifold
+    transition: Transition
+    log_likelihood: LogLikelihood
+    rows: Rows
+    iterations: int
+    defensive: float
+    curved: bool
+
+    def __call__(self, params: PyTree, particles: PyTree, measurement: PyTree, key: Array) -> tuple[PyTree, Array]:
+        """Send each particle on; see `Proposal`."""
+        _, plan = self.look(params, particles, measurement)
+        return self.send(params, particles, plan, measurement, key)
+
+    def look(
+        self, params: PyTree, particles: PyTree, measurement: PyTree, first: ArrayLike = False
+    ) -> tuple[Array, Plan]:
+        """Find each particle's Gaussian.
+
+        Args:
+            params: the filter's.
+            particles: leaves (N, ...).
+            measurement: of this step.
+            first: () whether this is the first step, where the law of the first state may be used.
+
+        Returns:
+            (N,) the logarithm of how likely each particle makes the measurement, but for what all share, roughly; and
+            the plan, which `take` reduces to those that go on.
+        """
+        fixed, seen, particles = jax.lax.stop_gradient((params, measurement, particles))
+        begins = jnp.asarray(first, bool)
+        centre, prior = _prior(self, fixed, particles, seen, begins)
+        turns: ArrayLike = self.iterations
+        if self.transition.opening is not None:
+            turns = jnp.where(begins, max(OPENING, self.iterations), self.iterations)
+        given = (fixed, centre, seen)
+        reach = REACH if self.transition.bounded else math.inf
+        equations, energy = gauss_newton.posterior(self.manifold, self.rows, given, prior, turns, reach)
+        basis, wide = gauss_newton.split(equations) if self.curved else (None, None)
+        factor = gauss_newton.factorized(equations, basis, prior)
+        mode = gauss_newton.within(_cholesky.solve(factor, factor[:, -1]), reach)
+        return _foreseen(factor, energy), Plan(centre, mode, factor, basis, wide, prior, begins)
+
+    def send(
+        self, params: PyTree, particles: PyTree, plan: Plan, measurement: PyTree, key: Array
+    ) -> tuple[PyTree, Array]:
+        """Draw from the Gaussians of those who go on.
+
+        Args:
+            params: the filter's.
+            particles: leaves (N, ...), those who go on.
+            plan: theirs.
+            measurement: of this step.
+            key: random key.
+
+        Returns:
+            The new particles, leaves (N, ...), and the logarithms (N,) of likelihood times transition density over the
+            density of the draw.
+        """
+        fixed, seen, particles = jax.lax.stop_gradient((params, measurement, particles))
+        white = _normals(key, plan.mode)
+        if plan.basis is None or plan.wide is None:
+            noise, drawn = _straight(plan, white)
+        else:
+            noise, drawn = _bent(self, (fixed, plan.centre, seen), plan, plan.basis, plan.wide, white)
+        if self.defensive:
+            noise = _mixed(self.transition, self.defensive, fixed, seen, noise, key)
+        noise = jax.lax.stop_gradient(noise)
+        moved = jax.lax.stop_gradient(jax.vmap(self.manifold.retract)(plan.centre, noise))
+        density = _densities(self, plan, params, particles, moved, noise, measurement)
+        if self.defensive:
+            own = jnp.log1p(-self.defensive) + _log_normal(plan.factor, _cholesky.whiten(plan.factor, noise.T))
+            drawn = jnp.logaddexp(own, jnp.log(self.defensive) + density)
+        weight = each(self.log_likelihood)(params, moved, measurement)
+        return moved, weight + density - jax.lax.stop_gradient(drawn)
+
+
+def guided(
+    manifold: Manifold,
+    transition: Transition,
+    log_likelihood: LogLikelihood,
+    rows: Rows,
+    *,
+    iterations: int = 2,
+    defensive: float = 0.0,
+    curved: bool | None = None,
+) -> Guided:
+    """Draw each particle from a Gaussian about its own most probable next state, found by Gauss-Newton.
+
+    The Gaussian lives in the tangent space at the transition's mean, with information `Q^-1 + J'J`. A residual that is
+    not finite leaves that particle the transition's own Gaussian. Draws come in pairs, one on either side of the mode,
+    so that the mean of all hardly scatters.
+
+    A filter chooses who goes on by how likely a particle makes the new measurement, as its Gaussian foresees it, and
+    takes that out of the weights again, which are exact: a fully adapted filter where all is linear.
+
+    Where the measurement fits several states within reach of the transition's noise (a position alone, say), each
+    particle goes to one of them; weights are exact, but states that no particle visits are missed, in the evidence
+    too, and nothing shows it. A defensive share is the remedy: no weight then exceeds likelihood / share.
+
+    Args:
+        manifold: where the state lives, dimension d.
+        transition: how it moves; its `guess` and `opening` are used.
+        log_likelihood: `(params, x, measurement) -> ()`, exact, for the weights.
+        rows: `(params, x, measurement) -> (m,), (m, d)`, linearised, for the proposal; `differentiated` makes them
+            from the residuals alone.
+        iterations: Gauss-Newton steps, static. One is enough where the measurement is close to linear over the
+            transition's noise. The first step takes more where the transition has an opening.
+        defensive: share of the particles that are drawn from the transition instead, static; all are weighed against
+            the mixture. Costs about that share of the effective sample size where there is one mode. The opening is
+            left alone then, and nothing is curved.
+        curved: whether the directions of which the measurement says little are drawn first, and the others about where
+            that leads, by linearising once more there; static. Where d is above 6 if None: many sensors that each bend
+            a little over these directions waste most of the particles otherwise.
+
+    Returns:
+        The proposal.
+
+    Raises:
+        ValueError: `iterations` below 1, or `defensive` outside [0, 1).
+
+    Source: Pitt and Shephard 1999 (Filtering via simulation: auxiliary particle filters) for the choice; Hesterberg
+    1995 (Weighted average importance sampling and defensive mixture distributions) for the mixture.
+    """
+    if iterations < 1:
+        raise ValueError(f"iterations: got {iterations}, expected at least 1")
+    if not 0 <= defensive < 1:
+        raise ValueError(f"defensive: got {defensive}, expected a share from 0 to below 1")
+    if defensive:
+        transition = transition._replace(opening=None)
+    bent = manifold.dim > MANY if curved is None else curved
+    return Guided(manifold, transition, log_likelihood, rows, iterations, float(defensive), bent and not defensive)
+
+
+def take(plan: Plan, ancestors: Array) -> Plan:
+    """Return the plan (N) of those who go on, ancestors (N,)."""
+    first, last = (lambda x: x[ancestors]), (lambda x: x[..., ancestors])
+    prior = plan.prior._replace(**{name: last(getattr(plan.prior, name)) for name in ("start", "pull", "energy")})
+    return plan._replace(
+        centre=jax.tree.map(first, plan.centre), mode=last(plan.mode), factor=last(plan.factor), prior=prior
+    )
+
+
+def _prior(ours: Guided, params: PyTree, particles: PyTree, seen: PyTree, begins: Array) -> tuple[PyTree, Prior]:
+    """Where each particle's tangent space is taken, and the Gaussian there before the measurement."""
+    size, (leaf, *_) = ours.manifold.dim, jax.tree.leaves(particles)
+    count, dtype = leaf.shape[0], leaf.dtype
+    none = jnp.zeros((size, count), dtype)
+    transition, opening = ours.transition, ours.transition.opening
+
+    def usual() -> tuple[PyTree, Prior]:
+        precision = jnp.asarray(transition.precision(params, seen), dtype)
+        if precision.shape not in ((size,), (size, size)):
+            raise ValueError(f"precision: has shape {precision.shape}, expected ({size},) or ({size}, {size})")
+        diagonal = precision.ndim == 1
+        full = jnp.diag(precision) if diagonal else precision
+        covariance = jnp.diag(1 / precision) if diagonal else jnp.linalg.inv(precision)
+        return each(transition.mean)(params, particles, seen), Prior(none, full, covariance, none, none[0])
+
+    def anew(opening: Opening) -> tuple[PyTree, Prior]:
+        centre = each(opening.centre)(params, particles, seen)
+        mean = jax.vmap(ours.manifold.local)(centre, each(opening.mean)(params, particles, seen)).T
+        precision = jnp.asarray(opening.precision(params, seen), dtype)
+        pull = precision[:, None] * mean
+        prior = Prior(none, jnp.diag(precision), jnp.diag(1 / precision), pull, jnp.sum(mean * pull, axis=0))
+        return centre, prior
+
+    centre, prior = usual() if opening is None else jax.lax.cond(begins, partial(anew, opening), usual)
+    if transition.guess is None:
+        return centre, prior
+    start = each(transition.guess)(params, centre, seen).astype(dtype).T
+    heeds = begins | (jnp.arange(count) % ASIDE != 0) | (jnp.max(jnp.abs(start), axis=0) < FAR)
+    return centre, prior._replace(start=jnp.where(heeds[None], start, 0))
+
+
+def _foreseen(factor: Array, energy: Array) -> Array:
+    """How likely each particle makes the measurement, (N,), about 0, from the integral of its Gaussian.
+
+    A small share is the same for all, so that a particle that was foreseen badly cannot come to weigh a lot.
+    """
+    numbers = jnp.arange(factor.shape[0])
+    right = factor[:, -1]
+    ahead = (jnp.sum(right * right, axis=0) - energy) / 2 - jnp.sum(jnp.log(factor[numbers, numbers]), axis=0)
+    share = normalize(ahead)[0] + math.log(ahead.shape[0])
+    return jnp.logaddexp(math.log1p(-SHARE) + share, math.log(SHARE))
+
+
+def _normals(key: Array, like: Array) -> Array:
+    """Standard normals (d, N) in pairs of opposite signs."""
+    size, count = like.shape
+    z = jax.random.normal(key, (size, (count + 1) // 2), like.dtype)
+    return jnp.concatenate([z, -z], axis=1)[:, :count]
+
+
+def _straight(plan: Plan, white: Array) -> tuple[Array, Array]:
+    """Noise (N, d) from each particle's Gaussian, and its log-density (N,)."""
+    return (plan.mode + _cholesky.solve(plan.factor, white)).T, _log_normal(plan.factor, white)
+
+
+def _bent(
+    ours: Guided, given: tuple[PyTree, PyTree, PyTree], plan: Plan, basis: Array, wide: Array, white: Array
+) -> tuple[Array, Array]:
+    """Noise (N, d) and its log-density (N,): wide directions first, the others given these."""
+    drawn = plan.mode + _cholesky.solve(plan.factor, jnp.where(wide[:, None], white, 0))
+    at = jnp.matmul(basis, drawn, precision=jax.lax.Precision.HIGHEST)
+    equations, _ = gauss_newton.linearized(ours.manifold, ours.rows, given, at, plan.prior)
+    factor = gauss_newton.factorized(equations, basis, plan.prior)
+    found = _cholesky.conditional(factor, white, drawn, wide)
+    both = jnp.where(wide[:, None, None], plan.factor, factor)
+    noise = jnp.matmul(basis, found, precision=jax.lax.Precision.HIGHEST)
+    return noise.T, _log_normal(both, white)
+
+
+def _log_normal(factor: Array, z: Array) -> Array:
+    """Log-density (N,) of a Gaussian with that factor, where its standard normals are z (d, N)."""
+    rows = jnp.arange(z.shape[0])
+    constant = z.shape[0] * jnp.log(2 * jnp.pi).astype(z.dtype) / 2
+    return jnp.sum(jnp.log(factor[rows, rows]) - z * z / 2, axis=0) - constant
+
+
+def _mixed(
+    transition: Transition, share: float, params: PyTree, measurement: PyTree, noise: Array, key: Array
+) -> Array:
+    """Replace a share of the noise (N, d) by draws from the transition."""
+    choice, draw = jax.random.split(jax.random.fold_in(key, 1))
+    plain = transition.draw(params, measurement, draw, noise.shape[0])
+    chosen = jax.random.uniform(choice, (noise.shape[0], 1), noise.dtype) < share
+    return jnp.where(chosen, plain, noise)
+
+
+def _densities(
+    ours: Guided, plan: Plan, params: PyTree, particles: PyTree, moved: PyTree, noise: Array, measurement: PyTree
+) -> Array:
+    """Log-densities (N,) of the new particles, before the measurement."""
+    opening = ours.transition.opening
+
+    def usual() -> Array:
+        return densities(ours.manifold, ours.transition, params, particles, moved, noise, measurement)
+
+    if opening is None:
+        return usual()
+
+    def anew() -> Array:
+        drawn = jax.vmap(opening.log_prob, (None, 0, 0, None))(params, particles, moved, measurement)
+        # As for a transition: a draw that has gone round weighs nothing, the same state is drawn the short way.
+        way = jax.lax.stop_gradient(jax.vmap(ours.manifold.local)(plan.centre, moved))
+        return jnp.where(jnp.all(jnp.abs(way - noise) < 1, axis=1), drawn, -jnp.inf)
+
+    density: Array = jax.lax.cond(plan.first, anew, usual)
+    return density
+
+
+__all__ = ["Guided", "Plan", "guided", "take"]
