@@ -2,7 +2,7 @@
 
 Start with `load` (MJCF or URDF) and `forward`; then `jacobian`; the dynamics `gravity_torque`, `inverse_dynamics`,
 `mass_matrix`, `bias_force`, `forward_dynamics`; `with_parameters` to change or tune a robot's numbers, `expand` for
-coupled joints; `inverse_kinematics` for `Target`s. Each function takes one configuration; batch it with `jax.vmap` and
+coupled joints; `inverse_kinematics` for `Target`s; `write` for a file. Each function takes one configuration; batch it with `jax.vmap` and
 compile it with `jax.jit`. Chains of links are scans, so that the batch stays fast for 4 to 50 joints, gradients
 included.
 
@@ -22,6 +22,7 @@ from jaxest.kinematics.inverse import Solution, Target, inverse_kinematics, sear
 from jaxest.kinematics.jacobian import jacobian
 from jaxest.kinematics.load import load
 from jaxest.kinematics.robot import Robot, Topology, expand, frame, with_parameters
+from jaxest.kinematics.write import to_mjcf, to_urdf, write
 
 __all__ = [
     "Frames",
@@ -42,5 +43,8 @@ __all__ = [
     "mass_matrix",
     "passive_torque",
     "search_inverse_kinematics",
+    "to_mjcf",
+    "to_urdf",
     "with_parameters",
+    "write",
 ]
