@@ -141,7 +141,9 @@ def averaging(time: Array, derivative: Array) -> Array:
 
     A derivative that is a weighted sum of samples is the mean of the true derivative over the window, weighted with
     minus the running sum of the weights. Other signals that are to be compared with such a derivative must be averaged
-    in the same way, or the filter's response stays in the comparison. The mean is taken by the trapezoidal rule.
+    in the same way, or the filter's response stays in the comparison. The mean is taken by the trapezoidal rule, with
+    its error's leading term taken off by second divided differences: a sine of 4 Hz at 62.5 Hz would come out 1.3 %
+    small in any window.
 
     Args:
         time: (W,) s, not decreasing; where a sample is missing, the time (and, later, the value) of the one before it.
@@ -150,11 +152,22 @@ def averaging(time: Array, derivative: Array) -> Array:
     Returns:
         (W,) weights, which sum to 1 where the degree is at least 1.
     """
-    later = np.tril(np.ones((len(time), len(time)), np.bool_), -1)[:, :-1]  # which intervals begin before a sample
-    height = -jnp.sum(jnp.where(~later, derivative[:, None], 0), axis=0)
-    mass = height * (time[1:] - time[:-1]) / 2
+    step = time[1:] - time[:-1]
+    mass = -jnp.cumsum(derivative)[:-1] * step
+    half = mass / 2
     nothing = jnp.zeros_like(mass[:1])
-    return jnp.concatenate([mass, nothing]) + jnp.concatenate([nothing, mass])
+    plain = jnp.concatenate([half, nothing]) + jnp.concatenate([nothing, half])
+    # An interval's error is its length squared / 12 times the mean bend at its ends, where both can be had.
+    fine = (step[1:] > 0) & (step[:-1] > 0)  # not beside a missing sample
+    none = jnp.zeros_like(fine[:1])
+    ends = jnp.concatenate([none, fine]).astype(step.dtype) + jnp.concatenate([fine, none]).astype(step.dtype)
+    bend = mass * step * step / (12 * jnp.where(ends > 0, ends, 1))
+    left, right = (jnp.where(fine, x, 1) for x in (step[:-1], step[1:]))
+    taken = jnp.where(fine, 2 * (bend[1:] + bend[:-1]) / (left + right), 0)
+    before, behind = taken / left, taken / right
+    bare = jnp.zeros_like(taken[:1])
+    pad = jnp.concatenate
+    return plain - pad([before, bare, bare]) + pad([bare, before + behind, bare]) - pad([bare, bare, behind])
 
 
 def init(params: Params, *, key: Array | None = None, half_width: int = 7, channels: int = 3) -> State:

@@ -63,10 +63,10 @@ class Choice(NamedTuple):
     """The best window's estimate, and all of them."""
 
     estimate: Estimate
-    which: Array
-    """() int32, which of the half widths."""
+    half_width: Array
+    """() int32, N of its window."""
     all: Estimate
-    """leaves (K, ...), one row per half width."""
+    """leaves (K, ...), one row per window."""
 
 
 class _Unknowns(NamedTuple):
@@ -77,46 +77,64 @@ class _Unknowns(NamedTuple):
     offset: Array
 
 
-HALF_WIDTHS = (5, 7, 10, 14)
-"""N to try; below 11 samples the trapezoidal rule of the averages is coarse."""
+TIMES = (0.05, 0.07, 0.1, 0.14)
+"""s, halves of the windows to try: from a tenth of the period of the quickest shaking that a hand does, upwards."""
+
+
+def half_widths(dt: ArrayLike) -> tuple[int, ...]:
+    """Return the N to try for steps `dt` (T,) s, the first of which does not count."""
+    steps = np.asarray(dt, np.float64)[1:]
+    step = float(np.median(steps)) if len(steps) else 0.0
+    if not step > 0:
+        raise InputError(f"dt: its median is {step} s, expected more than 0")
+    return tuple(dict.fromkeys(max(2, round(time / step)) for time in TIMES))
 
 
 def choose(
-    measurements: Pair, prior: Prior | None = None, *, half_widths: Sequence[int] = HALF_WIDTHS, degree: int = 3
+    measurements: Pair, prior: Prior | None = None, *, windows: Sequence[int] | None = None, degree: int = 3
 ) -> Choice:
     """Solve with several windows and take the one that the data say is best.
 
     Args:
         measurements: leading axis T, both IMUs at the same times; `savitzky_golay.smooth` brings one to the other's.
         prior: of the biases.
-        half_widths: N to try, static; those longer than the recording allows are left out.
+        windows: N to try, static, by default of the durations `TIMES`; those longer than the recording allows are left
+            out.
         degree: M, static.
 
     Returns:
-        The estimate with the smallest formal variance of the position, which one it is, and all of them.
+        The estimate with the smallest formal variance of the position, which one it is, and all of them. The choice
+        knows the readings only.
 
     Raises:
         InputError: there are fewer samples than the shortest window has.
     """
     count = np.shape(measurements.dt)[0]
-    fitting = [n for n in half_widths if 4 * (2 * n + 1) <= count and 2 * n >= degree]
+    trying = half_widths(measurements.dt) if windows is None else windows
+    fitting = [n for n in trying if 4 * (2 * n + 1) <= count and 2 * n >= degree]
     if not fitting:
-        least = 4 * (2 * min(half_widths) + 1)
+        least = 4 * (2 * min(trying) + 1)
         raise InputError(f"measurements: got {count} samples, expected at least {least}, four windows")
-    found = [solve(measurements, prior, half_width=n, degree=degree) for n in fitting]
+    reach = max(fitting)
+    found = [_solve(measurements, prior, jnp.asarray(n, jnp.int32), reach=reach, degree=degree) for n in fitting]
     every = jax.tree.map(lambda *x: jnp.stack(x), *found)
     best = jnp.argmin(jnp.where(jnp.isfinite(every.formal), every.formal, jnp.inf))
-    which = jnp.asarray([half_widths.index(n) for n in fitting], jnp.int32)[best]
-    return Choice(jax.tree.map(lambda x: x[best], every), which, every)
+    half_width = jnp.asarray(fitting, jnp.int32)[best]
+    return Choice(jax.tree.map(lambda x: x[best], every), half_width, every)
 
 
-@partial(jax.jit, static_argnames=("half_width", "degree"))
 def solve(measurements: Pair, prior: Prior | None = None, *, half_width: int = 7, degree: int = 3) -> Estimate:
     """Solve with one window; arguments as for `choose`, `half_width` N static.
 
     A step counts where both sensors of both IMUs are there and finite.
     """
-    windows = _windows(measurements, half_width, degree)
+    return _solve(measurements, prior, jnp.asarray(half_width, jnp.int32), reach=half_width, degree=degree)
+
+
+@partial(jax.jit, static_argnames=("reach", "degree"))
+def _solve(measurements: Pair, prior: Prior | None, half_width: Array, *, reach: int, degree: int) -> Estimate:
+    """Solve with a window of N traced, at most `reach`: one program for all of them."""
+    windows = _windows(measurements, half_width, reach, degree)
     dtype = windows.gain.dtype
     settings = Prior() if prior is None else prior
     gyro, acc = (jnp.asarray(x, dtype) for x in settings)
@@ -124,20 +142,22 @@ def solve(measurements: Pair, prior: Prior | None = None, *, half_width: int = 7
     state, spread = _start(windows, ready)
     weights = (1 / (jnp.trace(spread) / 3), jnp.asarray(1.0, dtype))
 
-    def body(_: Any, carry: Any) -> Any:
-        state, spread, weights = carry
-        h, g, *_ = _normal(windows, ready, state, spread, weights, gyro, acc)
-        state = _moved(state, jnp.linalg.solve(h, -g))
-        spread, force = _noise(windows, ready, state, spread)
-        return state, spread, (3 / jnp.trace(spread), 1 / force)
+    def body(turn: Array, carry: Any) -> Any:
+        state, spread, weights = carry[:3]
+        h, g, scores = _normal(windows, ready, state, spread, weights, gyro, acc)
+        moved = _moved(state, jnp.where(turn < ITERATIONS, jnp.linalg.solve(h, -g), 0))
+        spread, force = _noise(windows, ready, moved, spread)
+        return moved, spread, (3 / jnp.trace(spread), 1 / force), h, scores
 
-    state, spread, weights = jax.lax.fori_loop(0, ITERATIONS, body, (state, spread, weights))
-    h, _, scores, prior_precision = _normal(windows, ready, state, spread, weights, gyro, acc)
-    return _read(state, h, scores, prior_precision, spread, weights, ready, 4 * (2 * half_width + 1))
+    zero = jnp.zeros((SIZE, SIZE), dtype)
+    carry = (state, spread, weights, zero, jnp.zeros((len(ready), SIZE), dtype))
+    # The last pass moves nothing: it reads what belongs to the solution.
+    state, spread, weights, h, scores = jax.lax.fori_loop(0, ITERATIONS + 1, body, carry)
+    return _read(state, h, scores, _precision(gyro, acc, dtype), spread, weights, ready, 4 * (2 * half_width + 1), degree)
 
 
-def _windows(measurements: Pair, half_width: int, degree: int) -> win.Window:
-    """Averages of every window, (T - 2 N, ...)."""
+def _windows(measurements: Pair, half_width: Array, reach: int, degree: int) -> win.Window:
+    """Averages of the window about every sample, (T, ...); those that reach beyond an end are not ready."""
     dt = jnp.asarray(measurements.dt)
     sides, there = [], jnp.ones(dt.shape, bool)
     for side in "ap":
@@ -147,23 +167,30 @@ def _windows(measurements: Pair, half_width: int, degree: int) -> win.Window:
         there = there & fine & jnp.asarray(readings[0].valid) & jnp.asarray(readings[1].valid)
         sides.append(jnp.where(fine[:, None], value, 0))
     dt = dt.astype(sides[0].dtype)
-    width = 2 * half_width + 1
-    rows = jnp.arange(len(dt) - width + 1)[:, None] + jnp.arange(width)[None, :]
-    # A missing sample holds the one before it, within the window.
-    held = jax.lax.cummax(jnp.where(there, jnp.arange(len(dt)), -1))
+    count = len(dt)
+    offsets = jnp.arange(-reach, reach + 1)
+    # A missing sample holds the one before it, within the window; one outside the window holds its end.
+    held = jax.lax.cummax(jnp.where(there, jnp.arange(count), -1))
 
-    def one(rows: Array) -> win.Window:
-        time = jnp.cumsum(dt[rows].at[0].set(0))
-        time = time - time[half_width]
-        kept = jnp.maximum(held[rows], rows[0])
-        valid = there[rows]
-        at = time[kept - rows[0]]
+    def one(centre: Array) -> win.Window:
+        rows = jnp.clip(centre + offsets, 0, count - 1)
+        inside = (jnp.abs(offsets) <= half_width) & (centre + offsets == rows)
+        # Summed from the centre outwards, so that a float32 sum of a long recording's steps plays no part.
+        after = jnp.cumsum(jnp.where(offsets > 0, dt[rows], 0))
+        ahead = jnp.cumsum(jnp.where(offsets[::-1] <= 0, dt[rows[::-1]], 0))[::-1]
+        back = jnp.concatenate([-ahead[1:], jnp.zeros_like(ahead[:1])])
+        time = jnp.where(offsets > 0, after, jnp.where(offsets < 0, back, 0))
+        kept = jnp.maximum(held[jnp.clip(rows, centre - half_width, centre + half_width)], centre - half_width)
+        kept = jnp.clip(kept, 0, count - 1)
+        valid = there[rows] & inside
+        at = time[jnp.clip(kept - centre + reach, 0, 2 * reach)]
         a, p = (
             win.means(at, side[kept], valid, jnp.zeros((), dt.dtype), degree=degree, plain=False) for side in sides
         )  # fmt: skip
-        return win.combine(a, p, degree)
+        window = win.combine(a, p, degree)
+        return window._replace(ready=window.ready & (centre >= half_width) & (centre + half_width < count))
 
-    return jax.vmap(one)(rows)
+    return jax.vmap(one)(jnp.arange(count))
 
 
 def _start(windows: win.Window, ready: Array) -> tuple[_Unknowns, Array]:
@@ -213,8 +240,8 @@ def _moved(state: _Unknowns, d: Array) -> _Unknowns:
 
 def _normal(
     windows: win.Window, ready: Array, state: _Unknowns, spread: Array, weights: Any, gyro: Array, acc: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Hessian, gradient, score of every window, and the prior's precision."""
+) -> tuple[Array, Array, Array]:
+    """Hessian, gradient, and score of every window."""
     dtype = ready.dtype
     scale = jnp.concatenate([jnp.broadcast_to(weights[0], 3), jnp.broadcast_to(weights[1], 3)])
 
@@ -232,23 +259,34 @@ def _normal(
         return there * h, there * score
 
     h, score = jax.vmap(one)(windows, ready)
-    # b_A and b_P = R'(b_A - c) each have the gyros' prior.
+    precision = _precision(gyro, acc, dtype)
+    at = jnp.concatenate([jnp.zeros(6, dtype), state.bias, state.difference, state.offset])
+    return jnp.sum(h, axis=0) + precision, jnp.sum(score, axis=0) + precision @ at, score
+
+
+def _precision(gyro: Array, acc: Array, dtype: Any) -> Array:
+    """Precision (SIZE, SIZE) of the prior: b_A and b_P = R'(b_A - c) each have the gyros'."""
     eye, none = jnp.eye(3, dtype=dtype), jnp.zeros((3, 3), dtype)
     gyros = jnp.block([[2 * eye, -eye], [-eye, eye]]) / gyro**2
     precision = jnp.zeros((SIZE, SIZE), dtype).at[6:12, 6:12].set(gyros)
-    precision = precision.at[12:, 12:].set(eye / (2 * acc**2) + none)
-    at = jnp.concatenate([jnp.zeros(6, dtype), state.bias, state.difference, state.offset])
-    return jnp.sum(h, axis=0) + precision, jnp.sum(score, axis=0) + precision @ at, score, precision
+    return precision.at[12:, 12:].set(eye / (2 * acc**2) + none)
 
 
 def _read(
-    state: _Unknowns, h: Array, scores: Array, precision: Array, spread: Array, weights: Any, ready: Array, block: int
-) -> Estimate:
+    state: _Unknowns, h: Array, scores: Array, precision: Array, spread: Array, weights: Any, ready: Array,
+    block: Array, degree: int,
+) -> Estimate:  # fmt: skip
     inverse = jnp.linalg.inv(h)
-    whole = len(scores) // block * block
-    sums = jnp.sum(scores[:whole].reshape(-1, block, SIZE), axis=1)
-    count = max(len(sums), 1)
-    meat = sums.T @ sums * (len(scores) / max(whole, 1) * count / max(count - 3, 1)) + precision
+    most = max(len(scores) // (4 * (degree + 1)), 1)  # a window has more samples than the degree
+    # Blocks of windows in order of time; a rest that fills no block is left out.
+    behind = jnp.arange(len(scores)) - (block // 4 - 1) // 2  # the first window is centred N in
+    rows = jnp.where(behind >= 0, behind // block, most)
+    count = jnp.maximum((len(scores) - (block // 4 - 1)) // block, 1)
+    rows = jnp.where(rows < count, rows, most)
+    sums = jax.ops.segment_sum(scores, rows, num_segments=most)
+    total, whole = jnp.sum(ready), count * block
+    free = (count / jnp.maximum(count - 3, 1)).astype(h.dtype)
+    meat = sums.T @ sums * (total / whole * free) + precision
     scattered = inverse @ meat @ inverse.T
     pose = slice(0, 6)
     # Fifteen variances from some dozens of blocks are too uncertain to be used one by one; their mean ratio is not.
@@ -263,4 +301,4 @@ def _read(
     )  # fmt: skip
 
 
-__all__ = ["HALF_WIDTHS", "Choice", "Estimate", "Prior", "choose", "solve"]
+__all__ = ["TIMES", "Choice", "Estimate", "Prior", "choose", "half_widths", "solve"]

@@ -1,0 +1,263 @@
+"""From two IMUs' own recordings to `Pair`s at common times, and what is wrong with them; on the host, in float64.
+
+`pair` brings P's readings to A's stamps, `estimate` checks them and solves for the pose, `explain` says which component
+a covariance leaves open.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxest.calibration import clock
+from jaxest.filters import savitzky_golay as sg
+from jaxest.manifolds import quaternion as quat
+from jaxest.systems import onsite_batch
+from jaxest.systems.onsite_simulation import Pair
+from jaxest.types import InputError, Reading
+
+GAP = 3.0  # median intervals between P's samples over which nothing is interpolated
+ALIGNING = (3, 5)  # N and M of the fit that brings P's readings to A's stamps: next to no smoothing
+CLIPPED = 3  # equal readings in a row, at the largest value of the axis, that look like a limit and not like chance
+MOST_CLIPPED = 0.1  # share of clipped samples above which the rest says too little of the quick motion
+LOOSE = (0.15, 4.0)  # residual of the rates over their size, and over their noise, above which no link is rigid
+SHARP = (math.radians(5.0), 0.02)  # standard deviations, rad and m, above which a component counts as open
+DRIFT = 0.005  # s over the recording above which two clocks must not be taken for one
+
+
+class Imu(NamedTuple):
+    """One IMU's recording."""
+
+    time: NDArray[np.float64]
+    """(n,) s, increasing."""
+    gyroscope: NDArray[np.float64]
+    """(n, 3) rad/s."""
+    accelerometer: NDArray[np.float64]
+    """(n, 3) m/s2."""
+
+
+class Found(NamedTuple):
+    """What a recording of two IMUs says."""
+
+    estimate: onsite_batch.Estimate
+    half_width: int
+    """N of the window."""
+    offset: clock.Offset | None
+    """Of P's clock against A's, taken off P's stamps; None where they could not be compared."""
+    time: NDArray[np.float64]
+    """(T,) s, the common times."""
+    measurements: Pair
+    notes: tuple[str, ...]
+    """What was found and done, a sentence each."""
+
+
+def pair(a: Imu, p: Imu, *, offset: float = 0.0) -> tuple[NDArray[np.float64], Pair]:
+    """Bring P's readings to A's stamps.
+
+    Args:
+        a: the IMU whose clock and frame are kept.
+        p: the other.
+        offset: s, what P's clock shows more than A's.
+
+    Returns:
+        Times (T,) and measurements with a leading axis of T: A's samples within P's recording, those within a gap of
+        P's invalid.
+
+    Raises:
+        InputError: the recordings do not overlap, or stamps are wrong.
+
+    Source: Sato 2024, section III-C and Fig. 3.
+    """
+    stamps = np.asarray(p.time, np.float64) - offset
+    rows = np.flatnonzero((a.time >= stamps[0]) & (a.time <= stamps[-1]))
+    if len(rows) < 2:
+        raise InputError(
+            f"the recordings do not overlap: one from {a.time[0]:.3f} to {a.time[-1]:.3f} s, the other from "
+            f"{stamps[0]:.3f} to {stamps[-1]:.3f} s"
+        )
+    time = np.asarray(a.time, np.float64)[rows]
+    half_width, degree = ALIGNING
+    fitted = sg.smooth(stamps, np.hstack([p.gyroscope, p.accelerometer]), query=time, half_width=half_width, degree=degree)
+    value = np.asarray(fitted.value, np.float64)
+    right = np.clip(np.searchsorted(stamps, time), 1, len(stamps) - 1)
+    near = stamps[right] - stamps[right - 1] <= GAP * float(np.median(np.diff(stamps)))
+    there, here = np.asarray(fitted.valid) & near, np.ones(len(rows), bool)
+    dt = np.diff(time, prepend=time[0])
+    own = [Reading(np.asarray(x, np.float64)[rows], here) for x in (a.gyroscope, a.accelerometer)]  # type: ignore[arg-type]
+    other = [Reading(value[:, s], there) for s in (slice(0, 3), slice(3, 6))]  # type: ignore[arg-type]
+    return time, Pair(*own, *other, dt)
+
+
+def estimate(
+    a: Imu, p: Imu, *, prior: onsite_batch.Prior | None = None, names: tuple[str, str] = ("a", "p"),
+    align_clocks: bool = True,
+) -> Found:  # fmt: skip
+    """Check two recordings and find the pose of IMU P in A.
+
+    Args:
+        a: the IMU whose frame the pose is in.
+        p: the other.
+        prior: of the biases, as for `onsite_batch.choose`.
+        names: of the two, for messages.
+        align_clocks: whether to look for an offset of the clocks, and take it off where it is certain.
+
+    Returns:
+        The estimate.
+
+    Raises:
+        InputError: too few samples, saturated sensors, clocks that drift, IMUs that are not on one rigid link, or too
+            little rotation; which sensor, axis or component is named.
+    """
+    notes = [note for name, imu in zip(names, (a, p), strict=True) for note in _clipped(name, imu)]
+    offset = _clocks(a, p, names) if align_clocks else None
+    late = offset.seconds if offset and abs(offset.seconds) > 5 * offset.deviation else 0.0
+    if late:
+        notes.append(f"{names[1]}'s clock shows {1e3 * late:+.2f} ms against {names[0]}'s: taken off")
+    time, measurements = pair(a, p, offset=late)
+    measurements = _without_clipped(measurements)
+    choice = onsite_batch.choose(measurements, prior)
+    found = choice.estimate
+    loose = not_rigid(measurements, found)
+    if loose:
+        raise InputError(f"{names[0]} and {names[1]} are not on one rigid link: {loose}")
+    why = explain(np.asarray(found.covariance, np.float64))
+    if why:
+        raise InputError(f"the pose of {names[1]} in {names[0]} is not determined: {why}")
+    return Found(found, int(choice.half_width), offset, time, measurements, tuple(notes))
+
+
+def _clocks(a: Imu, p: Imu, names: tuple[str, str]) -> clock.Offset | None:
+    """Compare the clocks; None where the motion does not tell."""
+    half = min(0.5, (min(a.time[-1], p.time[-1]) - max(a.time[0], p.time[0])) / 8)
+    try:
+        found = clock.offset(a.time, a.gyroscope, p.time, p.gyroscope, most=half)
+    except InputError:
+        return None
+    apart = abs(found.drift) * (a.time[-1] - a.time[0])
+    if apart > DRIFT and abs(found.drift) > 5 * found.drift_deviation:
+        raise InputError(
+            f"the clocks of {names[0]} and {names[1]} drift apart by {1e3 * found.drift:+.3f} ms/s, "
+            f"{1e3 * apart:.1f} ms over the recording; expected less than {1e3 * DRIFT:g} ms: synchronise them"
+        )
+    return found
+
+
+def clipped(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Tell which of readings (n, 3) stand at a limit of their sensor: the extreme value, again and again in a row."""
+    found = np.zeros(values.shape, bool)
+    for axis, column in enumerate(np.asarray(values).T):
+        for extreme in (column.max(), column.min()):
+            at = column == extreme
+            if np.ptp(column) > 0 and any(np.all(at[i : i + CLIPPED]) for i in np.flatnonzero(at)[: -CLIPPED + 1]):
+                found[:, axis] |= at
+    return np.any(found, axis=1)
+
+
+def _clipped(name: str, imu: Imu) -> list[str]:
+    notes = []
+    for kind, value in (("gyroscope", imu.gyroscope), ("accelerometer", imu.accelerometer)):
+        share = float(np.mean(clipped(value)))
+        if share > MOST_CLIPPED:
+            raise InputError(
+                f"{name}/{kind}: saturated in {100 * share:.0f} % of the samples, at {np.abs(value).max():.4g}; expected "
+                f"at most {100 * MOST_CLIPPED:.0f} %: shake less or choose a wider range"
+            )
+        if share:
+            notes.append(f"{name}/{kind}: saturated in {100 * share:.1f} % of the samples, which are left out")
+    return notes
+
+
+def _without_clipped(measurements: Pair) -> Pair:
+    """Mask samples at a sensor's limit; of P, whose samples were interpolated, those within its flat pieces."""
+    kept = {}
+    for name in Pair._fields[:4]:
+        reading = getattr(measurements, name)
+        value = np.asarray(reading.value)
+        flat = clipped(value) if name.endswith("_a") else _flat(value)
+        kept[name] = Reading(reading.value, np.asarray(reading.valid) & ~flat)  # type: ignore[arg-type]
+    return measurements._replace(**kept)
+
+
+def _flat(value: NDArray[Any]) -> NDArray[np.bool_]:
+    """Rows within a per mille of an axis' extreme, if there are several in a row."""
+    span = np.ptp(value, axis=0)
+    near = np.minimum(np.abs(value - value.max(axis=0)), np.abs(value - value.min(axis=0))) < 1e-6 * span
+    runs = near[2:] & near[1:-1] & near[:-2]
+    found = np.zeros(value.shape, bool)
+    for shift in range(3):
+        found[shift : len(value) - 2 + shift] |= runs
+    return np.any(found, axis=1)
+
+
+def noise(values: NDArray[np.float64]) -> float:
+    """Return the standard deviation of readings' white noise, (n, 3), whatever the smooth motion below it.
+
+    An n-th difference takes a motion away in proportion to (2 pi f / rate)^n and leaves white noise times the root of
+    binomial(2 n, n); the smallest figure of several n counts.
+    """
+    orders = range(2, 7)
+    return float(min(np.sqrt(np.mean(np.diff(values, n, axis=0) ** 2) / math.comb(2 * n, n)) for n in orders))
+
+
+def not_rigid(measurements: Pair, found: onsite_batch.Estimate) -> str:
+    """Say why two IMUs cannot be on one rigid link; nothing where they may.
+
+    On one link the rates agree once turned. What is left of their difference is compared with the sensors' noise, and
+    with the motion: scale errors of sensors that nobody calibrated leave a few per cent.
+
+    Args:
+        measurements: the samples.
+        found: the estimate from them.
+
+    Returns:
+        A sentence, or nothing.
+    """
+    a, p = (np.asarray(getattr(measurements, f"gyroscope_{s}").value, np.float64) for s in "ap")
+    left = float(found.rate_residual)
+    size = float(np.sqrt(np.mean((a - a.mean(axis=0)) ** 2)))
+    level = math.hypot(noise(a), noise(p))
+    if left > LOOSE[0] * size and left > LOOSE[1] * level:
+        return (
+            f"their rates differ by {left:.3g} rad/s rms about an axis once turned into one another, {left / level:.0f} "
+            f"times their noise and {100 * left / size:.0f} % of the motion; expected at most {LOOSE[1]:g} times or "
+            f"{100 * LOOSE[0]:.0f} %"
+        )
+    return ""
+
+
+def explain(covariance: NDArray[np.float64]) -> str:
+    """Say which component of a pose a covariance leaves open, and what to do; nothing where all are known.
+
+    Args:
+        covariance: (6, 6) rotation vector in P, on the right, and position in A.
+
+    Returns:
+        A sentence, or nothing.
+    """
+    if not np.isfinite(covariance).all():
+        return "its covariance is not finite"
+    parts = []
+    for what, half, most, scale, unit in (
+        ("the rotation about", slice(0, 3), SHARP[0], math.degrees(1), "deg"),
+        ("the position along", slice(3, 6), SHARP[1], 1e3, "mm"),
+    ):
+        values, vectors = np.linalg.eigh(covariance[half, half])
+        for value, axis in zip(values, vectors.T, strict=True):
+            size = math.sqrt(max(value, 0.0))
+            if size > most:
+                axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
+                way = ", ".join(f"{x:.2f}" for x in axis + 0.0)
+                frame = "P" if unit == "deg" else "A"
+                known = f"known to {scale * size:.3g} {unit} only" if size < 10 * most else "open"
+                parts.append(f"{what} [{way}] of {frame} is {known}")
+    return f"{'; '.join(parts)}; turn the link about another axis, and harder" if parts else ""
+
+
+def rotation_error(one: Any, other: Any) -> float:
+    """Return the angle between two quaternions, rad."""
+    return float(np.linalg.norm(np.asarray(jax.device_get(quat.local(one, other)), np.float64)))
+
+
+__all__ = ["Found", "Imu", "clipped", "estimate", "explain", "noise", "not_rigid", "pair", "rotation_error"]
