@@ -6,7 +6,7 @@ horn of one module to the housing of the next; where that is, `jaxest.systems.on
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
@@ -16,7 +16,14 @@ from jaxest.kinematics.robot import Robot
 from jaxest.manifolds.se3 import Pose
 from jaxest.types import InputError
 
-STILL = Pose(np.array([1.0, 0, 0, 0]), np.zeros(3))  # type: ignore[arg-type]  # known on the host
+
+def known(rotation: Any = (1.0, 0.0, 0.0, 0.0), translation: Any = (0.0, 0.0, 0.0)) -> Pose:
+    """Return a pose of NumPy numbers, from a quaternion (4,) wxyz and a place (3,) m."""
+    rotation, translation = np.asarray(rotation, np.float64), np.asarray(translation, np.float64)
+    return Pose(rotation, translation)
+
+
+STILL = known()
 TOOL = "tool"
 
 
@@ -71,9 +78,7 @@ def check(assembly: Assembly) -> Assembly:
     if not modules or len(set(names)) < len(names):
         raise InputError(f"modules: got the names {', '.join(names) or 'none'}, expected at least one, all different")
     if len(assembly.links) != len(modules) - 1:
-        raise InputError(
-            f"links: got {len(assembly.links)} for {len(modules)} modules, expected one between every two"
-        )
+        raise InputError(f"links: got {len(assembly.links)} for {len(modules)} modules, expected one between every two")
     for module in modules:
         low, high = module.limits
         if not low < high or not np.linalg.norm(module.axis) > 0:
@@ -123,7 +128,7 @@ def assemble(assembly: Assembly, links: Sequence[Pose] = (), *, name: str = "ass
     return load(tostring(root, encoding="unicode"))
 
 
-def _place(pose: Pose) -> dict[str, str]:
+def _place(pose: Pose) -> Any:
     return {"pos": _text(pose.translation), "quat": _text(pose.rotation)}
 
 
@@ -131,4 +136,4 @@ def _text(numbers: object) -> str:
     return " ".join(repr(float(x)) for x in np.asarray(numbers, np.float64))
 
 
-__all__ = ["STILL", "TOOL", "Assembly", "Module", "assemble", "check"]
+__all__ = ["STILL", "TOOL", "Assembly", "Module", "assemble", "check", "known"]
