@@ -16,7 +16,7 @@ class Offset(NamedTuple):
     deviation: float
     """s, standard deviation"""
     drift: float
-    """s/s, difference of the offsets of the second and the first half over half the duration"""
+    """s/s, how the offset grows"""
     drift_deviation: float
     """s/s"""
     residual: float
@@ -112,15 +112,19 @@ def _judged(
     step: float,
 ) -> Offset:
     score, weight = np.sum(slope * e, axis=1), np.sum(slope * slope, axis=1)
+    away = grid - np.sum(weight * grid) / weight.sum()
+    drift = float(np.sum(score * away) / np.sum(weight * away**2))
+    score = score - weight * away * drift  # a drift must not look like noise of the offset
     block = max(round(0.5 / step), 12)
     whole = len(score) // block * block
-    sums = score[:whole].reshape(-1, block).sum(axis=1)
-    count = len(sums)
-    deviation = float(np.sqrt(np.sum(sums**2) * count / max(count - 2, 1)) / weight.sum())
-    half = len(score) // 2
-    parts = [score[s].sum() / weight[s].sum() for s in (slice(0, half), slice(half, None))]
-    apart = (grid[-1] - grid[0]) / 2
-    return Offset(found, deviation, float(parts[1] - parts[0]) / apart, 2 * deviation / apart, left)
+    count = whole // block
+
+    def deviation(scores: NDArray[np.float64], total: float) -> float:
+        sums = scores[:whole].reshape(-1, block).sum(axis=1)
+        return float(np.sqrt(np.sum(sums**2) * count / max(count - 2, 1)) / total)
+
+    spread, bend = deviation(score, weight.sum()), deviation(score * away, float(np.sum(weight * away**2)))
+    return Offset(found, spread, drift, bend, left)
 
 
 __all__ = ["Offset", "offset"]

@@ -1,0 +1,125 @@
+"""The whole calibration of an IMU from a rest and from slow turning, applied to recordings, and kept in a file.
+
+Source: Sato 2024, section III-E: about 1000 samples at rest, 10000 while turning slowly; the rotation between the two
+sensors' axes goes beyond it.
+"""
+
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from jaxest.calibration import alignment, ellipsoid, imu_static
+from jaxest.types import InputError
+
+
+class Calibration(NamedTuple):
+    """How to correct an IMU: rates less their bias, forces `matrix @ (reading - bias)`."""
+
+    gyroscope_bias: NDArray[np.float64]
+    """(3,) rad/s"""
+    gyroscope_noise: float
+    """rad/s, standard deviation of a sample about an axis"""
+    accelerometer_matrix: NDArray[np.float64]
+    """(3, 3), into the gyroscope's axes"""
+    accelerometer_bias: NDArray[np.float64]
+    """(3,) m/s2"""
+    accelerometer_noise: float
+    """m/s2, likewise"""
+
+
+class Readings(NamedTuple):
+    """A recording of one IMU."""
+
+    time: NDArray[np.float64]
+    """(n,) s, increasing."""
+    gyroscope: NDArray[np.float64]
+    """(n, 3) rad/s."""
+    accelerometer: NDArray[np.float64]
+    """(n, 3) m/s2."""
+
+
+def calibrate(rest: Readings, turning: Readings | None = None) -> Calibration:
+    """Calibrate an IMU.
+
+    Args:
+        rest: a recording in which it rests for a while.
+        turning: one in which it turns slowly through many attitudes; None leaves the accelerometer as it is.
+
+    Returns:
+        The calibration.
+
+    Raises:
+        InputError: it never rests, or the turning does not determine the accelerometer.
+    """
+    still = imu_static.calibrate(*rest)
+    noise = [float(np.sqrt(np.trace(c) / 3)) for c in (still.gyroscope_covariance, still.accelerometer_covariance)]
+    matrix, bias = np.eye(3), np.zeros(3)
+    if turning is not None:
+        fitted = ellipsoid.fit(turning.accelerometer)
+        forces = ellipsoid.apply(fitted, turning.accelerometer)
+        turned = alignment.align(turning.time, np.asarray(turning.gyroscope) - still.gyroscope_bias, forces)
+        matrix, bias = turned.rotation @ fitted.matrix, fitted.bias
+    return Calibration(still.gyroscope_bias, noise[0], matrix, bias, noise[1])
+
+
+def apply(
+    calibration: Calibration, gyroscope: ArrayLike, accelerometer: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Correct rates (n, 3) and forces (n, 3)."""
+    rates = np.asarray(gyroscope, np.float64) - calibration.gyroscope_bias
+    forces = (
+        np.asarray(accelerometer, np.float64) - calibration.accelerometer_bias
+    ) @ calibration.accelerometer_matrix.T
+    return rates, forces
+
+
+def save(calibrations: dict[str, Calibration], path: str | Path) -> None:
+    """Write calibrations by the IMUs' names as JSON, replacing the file."""
+    plain = {name: {k: np.asarray(v).tolist() for k, v in one._asdict().items()} for name, one in calibrations.items()}
+    Path(path).write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
+
+
+def load(path: str | Path) -> dict[str, Calibration]:
+    """Read what `save` wrote.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Calibrations by name.
+
+    Raises:
+        InputError: no such file, or not such a file; what is missing is named.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; expected a calibration as `calibration.imu.save` writes it")
+    try:
+        plain = json.loads(path.read_text(encoding="utf-8"))
+        shapes = {"gyroscope_bias": (3,), "gyroscope_noise": (), "accelerometer_matrix": (3, 3),
+                  "accelerometer_bias": (3,), "accelerometer_noise": ()}  # fmt: skip
+        found = {}
+        for name, one in plain.items():
+            values = {key: np.asarray(one[key], np.float64) for key in shapes}
+            wrong = [
+                key for key, shape in shapes.items() if values[key].shape != shape or not np.isfinite(values[key]).all()
+            ]
+            if wrong:
+                raise InputError(
+                    f"{path}: {name}: {wrong[0]} has shape {values[wrong[0]].shape}, expected {shapes[wrong[0]]}"
+                )
+            found[name] = Calibration(
+                values["gyroscope_bias"], float(values["gyroscope_noise"]), values["accelerometer_matrix"],
+                values["accelerometer_bias"], float(values["accelerometer_noise"]),
+            )  # fmt: skip
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path}: not a calibration: {type(error).__name__}: {error}") from None
+    return found
+
+
+__all__ = ["Calibration", "Readings", "apply", "calibrate", "load", "save"]
