@@ -203,7 +203,10 @@ def _rest(params: Params, state: State, second: Array, found: Estimate) -> Estim
     crossed = product(second[:3, 3:], r.T)
     spread = second[:3, :3] - crossed - crossed.T + sandwich(r, second[3:, 3:])
     free = jnp.where(state.weight > 2, state.weight - 2, 1)  # six numbers are fitted to three equations a pair
-    return found._replace(bias=bias, residual=(spread + spread.T) / 2 / free)
+    # What differences of long sums lose to rounding must not look like sensors without noise.
+    lost = 16 * float(jnp.finfo(second.dtype).eps) * jnp.trace(second)
+    spread = jnp.where(jnp.trace(spread) > 3 * lost, (spread + spread.T) / 2, lost * jnp.eye(3, dtype=second.dtype))
+    return found._replace(bias=bias, residual=spread / free)
 
 
 def _turning(second: Array, weight: Array) -> Array:

@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, InputError, Reading
 
+PADDING = 512
+"""`smooth` compiles for numbers of queries that are multiples of this."""
+
 
 class Params(NamedTuple):
     """What may be tuned or differentiated."""
@@ -324,17 +327,23 @@ def smooth(
     there = np.ones(len(stamps), bool) if valid is None else np.asarray(valid, bool)
     inside = (at >= stamps[rows[:, 0]]) & (at <= stamps[rows[:, -1]])
     dtype = value.dtype if jnp.issubdtype(value.dtype, jnp.floating) else jnp.result_type(float)
-    return _smooth(offset.astype(dtype), value.astype(dtype)[rows], jnp.asarray(there)[rows], inside, degree)
+    # Recordings of nearly the same length share a program.
+    more = ((0, -len(at) % PADDING), (0, 0))
+    rows, offset, there = np.pad(rows, more, "edge"), np.pad(offset, more, "edge"), np.pad(there[rows], more, "edge")
+    picked = value[rows] if isinstance(value, jax.core.Tracer) else jnp.asarray(np.asarray(value)[rows])
+    found = _smooth(offset.astype(dtype), picked.astype(dtype), there, degree)
+    found = jax.tree.map(lambda x: x[: len(at)], found)
+    return found._replace(valid=found.valid & inside)
 
 
-@partial(jax.jit, static_argnums=4)
-def _smooth(offset: Any, value: Array, valid: Array, inside: Any, degree: int) -> Smoothed:
+@partial(jax.jit, static_argnums=3)
+def _smooth(offset: Any, value: Array, valid: Any, degree: int) -> Smoothed:
     def one(offset: Array, value: Array, valid: Array) -> Smoothed:
         fit = weights(offset, valid, 0.0, degree=degree)
         return Smoothed(*evaluate(fit, jnp.where(valid[:, None], value, 0)), fit.samples > degree)
 
-    found = jax.vmap(one)(offset, value, valid)
-    return found._replace(valid=found.valid & inside)
+    found: Smoothed = jax.vmap(one)(offset, value, valid)
+    return found
 
 
 def windows(time: NDArray[Any], query: NDArray[Any], half_width: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:

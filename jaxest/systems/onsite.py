@@ -254,14 +254,14 @@ def _info(
     )  # fmt: skip
     near = (4 * jnp.trace(placing) < 0.005**2) & (4 * jnp.trace(turning) < math.radians(0.1) ** 2)
     return Info(
-        place.estimate, found.quaternion, whole, found.bias, place.residual, _root(jnp.trace(place.noise) / 3),
-        _root(jnp.trace(spread) / 6), delay, place.valid & ready, near & place.valid, status,
+        place.estimate, found.quaternion, whole, found.bias, place.residual, root(jnp.trace(place.noise) / 3),
+        root(jnp.trace(spread) / 6), delay, place.valid & ready, near & place.valid, status,
     )  # fmt: skip
 
 
-def _root(x: Array) -> Array:
+def root(x: Array) -> Array:
     """Square root with a finite derivative at 0."""
     return jnp.where(x > 0, jnp.sqrt(jnp.where(x > 0, x, 1)), 0)
 
 
-__all__ = ["Info", "Pair", "Params", "State", "build", "init", "simulate", "step"]
+__all__ = ["Info", "Pair", "Params", "State", "build", "init", "root", "simulate", "step"]

@@ -153,7 +153,9 @@ def _solve(measurements: Pair, prior: Prior | None, half_width: Array, *, reach:
     carry = (state, spread, weights, zero, jnp.zeros((len(ready), SIZE), dtype))
     # The last pass moves nothing: it reads what belongs to the solution.
     state, spread, weights, h, scores = jax.lax.fori_loop(0, ITERATIONS + 1, body, carry)
-    return _read(state, h, scores, _precision(gyro, acc, dtype), spread, weights, ready, 4 * (2 * half_width + 1), degree)
+    return _read(
+        state, h, scores, _precision(gyro, acc, dtype), spread, weights, ready, 4 * (2 * half_width + 1), degree
+    )
 
 
 def _windows(measurements: Pair, half_width: Array, reach: int, degree: int) -> win.Window:

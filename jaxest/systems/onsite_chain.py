@@ -10,22 +10,24 @@ reason a base that turns the first joint belongs to the assembly.
 """
 
 import math
+from collections.abc import Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from jaxest.filters._small import product, sandwich
-from jaxest.kinematics.modular import Assembly, assemble, check
+from jaxest.kinematics.modular import Assembly, assemble, check, known
 from jaxest.kinematics.robot import Robot
 from jaxest.manifolds import quaternion as quat
 from jaxest.manifolds.se3 import Pose
 from jaxest.systems import onsite
-from jaxest.systems.onsite_recording import explain
+from jaxest.systems.onsite_recording import Imu, brought, explain
 from jaxest.systems.onsite_simulation import Pair
-from jaxest.types import Array, ArrayLike, InputError, Reading
+from jaxest.types import Array, ArrayLike, InputError, Reading, System
 
 
 class Params(NamedTuple):
@@ -47,6 +49,8 @@ class Params(NamedTuple):
     """() m, two standard deviations (root of the trace) of a joint's place below which it is known."""
     rotation_limit: ArrayLike = math.radians(0.1)
     """() rad, likewise of its orientation."""
+    hold: ArrayLike = 1.0
+    """() s, for which every link must have been known to the limits: the spread scatters at the beginning."""
 
 
 class Sample(NamedTuple):
@@ -65,6 +69,8 @@ class State(NamedTuple):
 
     links: onsite.State
     """leaves (L, ...)"""
+    near: Array
+    """() s, for how long every link has been known to the limits."""
     index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
     """() int32, steps seen."""
 
@@ -83,14 +89,14 @@ class Info(NamedTuple):
     imus: onsite.Info
     """leaves (L, ...): the pose of IMU in IMU, residuals, validity."""
     done: Array
-    """() bool, whether every link is known to the limits."""
+    """() bool, whether every link has been known to the limits for long enough."""
     valid: Array
     """() bool, whether every link is determined."""
     status: Array
     """() int32, `OK` or `NON_FINITE`."""
 
 
-def build(assembly: Assembly, sensors: None = None, *, half_width: int = 7, degree: int = 3, lag: int = 20) -> onsite.System:
+def build(assembly: Assembly, sensors: None = None, *, half_width: int = 7, degree: int = 3, lag: int = 20) -> System:
     """Build the estimator of a robot's unknown links.
 
     Args:
@@ -116,7 +122,7 @@ def build(assembly: Assembly, sensors: None = None, *, half_width: int = 7, degr
     ends = [(assembly.modules[k].after, assembly.modules[k + 1].before) for k in links]
     front, rear = (jax.tree.map(lambda *x: np.stack(x), *side) for side in zip(*ends, strict=True))
     params = Params(pair.default_params, np.zeros((len(links), 2, 3)), *front, *rear)
-    return onsite.System(
+    return System(
         params,
         partial(init, half_width=half_width, lag=lag),
         partial(step, degree=degree),
@@ -128,7 +134,8 @@ def init(params: Params, *, key: Array | None = None, half_width: int = 7, lag: 
     """Return the state that has seen no data; arguments as for `build`."""
     one = onsite.init(params.pair, half_width=half_width, lag=lag)
     count = np.shape(params.front_rotation)[0]
-    return State(jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), one), jnp.zeros((), jnp.int32))
+    links = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), one)
+    return State(links, jnp.zeros_like(one.gain), jnp.zeros((), jnp.int32))
 
 
 def step(
@@ -157,18 +164,24 @@ def step(
     bias = jnp.asarray(params.bias, dtype)
 
     def one(state: onsite.State, gyro: Reading, acc: Reading, bias: Array) -> tuple[onsite.State, onsite.Info]:
-        readings = [Reading(x.value[side], x.valid[side]) for side in (0, 1) for x in (gyro, acc)]
+        readings: Any = [Reading(x.value[side], x.valid[side]) for side in (0, 1) for x in (gyro, acc)]
         settings = params.pair._replace(bias_a=bias[0], bias_p=bias[1])
-        return onsite.step(settings, state, Pair(*readings, measurement.dt), degree=degree)
+        a, b, c, d = readings
+        return onsite.step(settings, state, Pair(a, b, c, d, measurement.dt), degree=degree)
 
-    links, imus = jax.vmap(one)(state.links, *jax.tree.map(jnp.asarray, measurement[:2]), bias)
+    gyro, acc = (jax.tree.map(jnp.asarray, x) for x in measurement[:2])
+    links, imus = jax.vmap(one)(state.links, gyro, acc, bias)
     mountings = [jnp.asarray(x, dtype) for x in params[2:6]]
     position, quaternion, covariance = jax.vmap(_joint_in_joint)(imus, *mountings)
-    spread = 2 * jnp.sqrt(jnp.stack([jnp.trace(covariance[:, s, s], axis1=1, axis2=2) for s in _HALVES], axis=1))
+    variance = jnp.stack([jnp.trace(covariance[:, s, s], axis1=1, axis2=2) for s in _HALVES], axis=1)
+    spread = 2 * onsite.root(variance)
     near = (spread[:, 0] < params.rotation_limit) & (spread[:, 1] < params.position_limit)
     valid = jnp.all(imus.valid)
-    info = Info(position, quaternion, covariance, spread, imus, jnp.all(near) & valid, valid, jnp.max(imus.status))
-    return State(links, state.index + 1), info
+    dt = jnp.asarray(measurement.dt, dtype)
+    lasting = jnp.where(jnp.all(near) & valid, state.near + jnp.where(jnp.isfinite(dt), dt, 0), 0)
+    done = (lasting > 0) & (lasting >= params.hold)
+    info = Info(position, quaternion, covariance, spread, imus, done, valid, jnp.max(imus.status))
+    return State(links, lasting, state.index + 1), info
 
 
 _HALVES = (slice(0, 3), slice(3, 6))
@@ -178,12 +191,10 @@ def _joint_in_joint(
     imus: onsite.Info, front_rotation: Array, front: Array, rear_rotation: Array, rear: Array
 ) -> tuple[Array, Array, Array]:
     """Pose of the next joint in the joint before, T_front T_A_P T_rear^-1, and its covariance."""
-    back = quat.inverse(rear_rotation)
-    joint = -quat.rotate(back, rear)  # the next joint, in P
-    position = front + quat.rotate(front_rotation, imus.position + quat.rotate(imus.quaternion, joint))
-    quaternion = quat.compose(front_rotation, quat.compose(imus.quaternion, back))
+    mounting = front_rotation, front, rear_rotation, rear
+    position, quaternion = _placed(imus.position, imus.quaternion, *mounting)
     a, r, b = (quat.to_matrix(q) for q in (front_rotation, imus.quaternion, rear_rotation))
-    x, y, z = joint
+    x, y, z = -quat.rotate(quat.inverse(rear_rotation), rear)
     zero = jnp.zeros_like(x)
     skew = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
     moved = -product(product(a, r), skew)  # of the position by a turn of P
@@ -191,6 +202,16 @@ def _joint_in_joint(
         [jnp.concatenate([b, jnp.zeros_like(b)], axis=1), jnp.concatenate([moved, a], axis=1)]
     )  # fmt: skip
     return position, quaternion, sandwich(slope, imus.covariance)
+
+
+def _placed(
+    position: Array, quaternion: Array, front_rotation: Array, front: Array, rear_rotation: Array, rear: Array
+) -> tuple[Array, Array]:
+    """Joint in joint from IMU in IMU."""
+    back = quat.inverse(rear_rotation)
+    joint = -quat.rotate(back, rear)  # the next joint, in P
+    place = front + quat.rotate(front_rotation, position + quat.rotate(quaternion, joint))
+    return place, quat.compose(front_rotation, quat.compose(quaternion, back))
 
 
 def simulate(params: Params, *, key: Array, count: int, **options: object) -> tuple[Sample, Pose]:
@@ -209,26 +230,42 @@ def simulate(params: Params, *, key: Array, count: int, **options: object) -> tu
     dtype = truth.position.dtype
     mountings = [jnp.asarray(x, dtype) for x in params[2:6]]
 
-    def placed(position: Array, quaternion: Array, *mounting: Array) -> tuple[Array, Array]:
-        return jax.vmap(_place_only)(position, quaternion, *mounting)
-
-    position, quaternion = placed(truth.position, truth.quaternion, *mountings)
-    return Sample(both("gyroscope"), both("accelerometer"), pairs.dt[0]), Pose(quaternion, position)
+    position, quaternion = jax.vmap(_placed)(truth.position, truth.quaternion, *mountings)
+    return Sample(both("gyroscope"), both("accelerometer"), jnp.asarray(pairs.dt)[0]), Pose(quaternion, position)
 
 
-def _place_only(
-    position: Array, quaternion: Array, front_rotation: Array, front: Array, rear_rotation: Array, rear: Array
-) -> tuple[Array, Array]:
-    back = quat.inverse(rear_rotation)
-    joint = -quat.rotate(back, rear)
-    place = front + quat.rotate(front_rotation, position + quat.rotate(quaternion, joint))
-    return place, quat.compose(front_rotation, quat.compose(quaternion, back))
+def samples(imus: Sequence[tuple[Imu, Imu]]) -> tuple[NDArray[np.float64], Sample]:
+    """Bring the recordings of all IMUs to the first one's stamps.
+
+    Args:
+        imus: recordings of the two IMUs of each unknown link: before it, behind it.
+
+    Returns:
+        Times (T,) s and measurements, NumPy arrays with a leading axis of T; what falls into a gap of an IMU is not
+        valid.
+
+    Raises:
+        InputError: recordings do not overlap, or stamps are wrong.
+    """
+    every = [imu for link in imus for imu in link]
+    low, high = max(imu.time[0] for imu in every), min(imu.time[-1] for imu in every)
+    clock = every[0].time
+    time = clock[(clock >= low) & (clock <= high)]
+    if len(time) < 2:
+        raise InputError("the recordings of the IMUs do not overlap")
+    found = [brought(imu, time) for imu in every]
+    value = np.stack([v for v, _ in found], axis=1).reshape(len(time), len(imus), 2, 6)
+    valid = np.stack([there for _, there in found], axis=1).reshape(len(time), len(imus), 2)
+    parts: list[Any] = [(value[..., part], valid) for part in (slice(0, 3), slice(3, 6))]
+    readings: Any = [Reading(*part) for part in parts]
+    rates, forces = readings
+    return time, Sample(rates, forces, np.diff(time, prepend=time[0]))
 
 
 def poses(info: Info) -> tuple[Pose, ...]:
     """Return the links' poses as known on the host, from the last info."""
     found = zip(np.asarray(info.quaternion, float), np.asarray(info.position, float), strict=True)
-    return tuple(Pose(q, p) for q, p in found)  # type: ignore[arg-type]
+    return tuple(known(q, p) for q, p in found)
 
 
 def rebuild(assembly: Assembly, info: Info, *, name: str = "assembly") -> Robot:
@@ -253,4 +290,4 @@ def rebuild(assembly: Assembly, info: Info, *, name: str = "assembly") -> Robot:
     return assemble(assembly, poses(info), name=name)
 
 
-__all__ = ["Info", "Params", "Sample", "State", "build", "init", "poses", "rebuild", "simulate", "step"]
+__all__ = ["Info", "Params", "Sample", "State", "build", "init", "poses", "rebuild", "samples", "simulate", "step"]

@@ -78,16 +78,27 @@ def pair(a: Imu, p: Imu, *, offset: float = 0.0) -> tuple[NDArray[np.float64], P
             f"{stamps[0]:.3f} to {stamps[-1]:.3f} s"
         )
     time = np.asarray(a.time, np.float64)[rows]
-    half_width, degree = ALIGNING
-    fitted = sg.smooth(stamps, np.hstack([p.gyroscope, p.accelerometer]), query=time, half_width=half_width, degree=degree)
-    value = np.asarray(fitted.value, np.float64)
-    right = np.clip(np.searchsorted(stamps, time), 1, len(stamps) - 1)
-    near = stamps[right] - stamps[right - 1] <= GAP * float(np.median(np.diff(stamps)))
-    there, here = np.asarray(fitted.valid) & near, np.ones(len(rows), bool)
+    value, there = brought(p._replace(time=stamps), time)
+    here = np.ones(len(rows), bool)
     dt = np.diff(time, prepend=time[0])
-    own = [Reading(np.asarray(x, np.float64)[rows], here) for x in (a.gyroscope, a.accelerometer)]  # type: ignore[arg-type]
-    other = [Reading(value[:, s], there) for s in (slice(0, 3), slice(3, 6))]  # type: ignore[arg-type]
-    return time, Pair(*own, *other, dt)
+    own: Any = [_reading(np.asarray(x, np.float64)[rows], here) for x in (a.gyroscope, a.accelerometer)]
+    other: Any = [_reading(value[:, s], there) for s in (slice(0, 3), slice(3, 6))]
+    (rates, forces), (others, felt) = own, other
+    return time, Pair(rates, forces, others, felt, dt)
+
+
+def _reading(value: Any, valid: Any) -> Reading:
+    return Reading(value, valid)
+
+
+def brought(imu: Imu, time: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return an IMU's rates and forces (T, 6) at given times, and whether they are there rather than in a gap (T,)."""
+    half_width, degree = ALIGNING
+    values = np.hstack([imu.gyroscope, imu.accelerometer])
+    fitted = sg.smooth(imu.time, values, query=time, half_width=half_width, degree=degree)
+    right = np.clip(np.searchsorted(imu.time, time), 1, len(imu.time) - 1)
+    near = imu.time[right] - imu.time[right - 1] <= GAP * float(np.median(np.diff(imu.time)))
+    return np.asarray(fitted.value, np.float64), np.asarray(fitted.valid) & near
 
 
 def estimate(
@@ -161,8 +172,8 @@ def _clipped(name: str, imu: Imu) -> list[str]:
         share = float(np.mean(clipped(value)))
         if share > MOST_CLIPPED:
             raise InputError(
-                f"{name}/{kind}: saturated in {100 * share:.0f} % of the samples, at {np.abs(value).max():.4g}; expected "
-                f"at most {100 * MOST_CLIPPED:.0f} %: shake less or choose a wider range"
+                f"{name}/{kind}: saturated in {100 * share:.0f} % of the samples, at {np.abs(value).max():.4g}; "
+                f"expected at most {100 * MOST_CLIPPED:.0f} %: shake less or choose a wider range"
             )
         if share:
             notes.append(f"{name}/{kind}: saturated in {100 * share:.1f} % of the samples, which are left out")
@@ -171,12 +182,12 @@ def _clipped(name: str, imu: Imu) -> list[str]:
 
 def _without_clipped(measurements: Pair) -> Pair:
     """Mask samples at a sensor's limit; of P, whose samples were interpolated, those within its flat pieces."""
-    kept = {}
+    kept: dict[str, Any] = {}
     for name in Pair._fields[:4]:
         reading = getattr(measurements, name)
         value = np.asarray(reading.value)
         flat = clipped(value) if name.endswith("_a") else _flat(value)
-        kept[name] = Reading(reading.value, np.asarray(reading.valid) & ~flat)  # type: ignore[arg-type]
+        kept[name] = _reading(reading.value, np.asarray(reading.valid) & ~flat)
     return measurements._replace(**kept)
 
 
@@ -220,9 +231,9 @@ def not_rigid(measurements: Pair, found: onsite_batch.Estimate) -> str:
     level = math.hypot(noise(a), noise(p))
     if left > LOOSE[0] * size and left > LOOSE[1] * level:
         return (
-            f"their rates differ by {left:.3g} rad/s rms about an axis once turned into one another, {left / level:.0f} "
-            f"times their noise and {100 * left / size:.0f} % of the motion; expected at most {LOOSE[1]:g} times or "
-            f"{100 * LOOSE[0]:.0f} %"
+            f"their rates differ by {left:.3g} rad/s rms about an axis once turned, "
+            f"{left / level:.0f} times their noise and {100 * left / size:.0f} % of the motion; expected at most "
+            f"{LOOSE[1]:g} times or {100 * LOOSE[0]:.0f} %"
         )
     return ""
 
@@ -260,4 +271,4 @@ def rotation_error(one: Any, other: Any) -> float:
     return float(np.linalg.norm(np.asarray(jax.device_get(quat.local(one, other)), np.float64)))
 
 
-__all__ = ["Found", "Imu", "clipped", "estimate", "explain", "noise", "not_rigid", "pair", "rotation_error"]
+__all__ = ["Found", "Imu", "brought", "clipped", "estimate", "explain", "noise", "not_rigid", "pair", "rotation_error"]

@@ -91,10 +91,10 @@ def test_references_slides_and_mimics(x64):
 
 
 def test_what_cannot_be_written(tmp_path):
-    with pytest.raises(InputError, match="moves by .* expected at most one hinge or slide"):
+    with pytest.raises(InputError, match=r"moves by .* expected at most one hinge or slide"):
         kinematics.to_urdf(kinematics.load(models.path("rover")))
     robot = kinematics.load(models.chain(2))
-    away = dataclasses.replace(robot, joint_anchor=robot.joint_anchor + [[0, 0, 0], [0, 0, 0.1]])
+    away = dataclasses.replace(robot, joint_anchor=np.add(robot.joint_anchor, [[0, 0, 0], [0, 0, 0.1]]))
     with pytest.raises(InputError, match=r"body 'link2': its joint is at 0.0 0.0 0.1 in it, expected at its origin"):
         kinematics.to_urdf(away)
     with pytest.raises(InputError, match=r"expected a name that ends in \.xml, \.mjcf, \.urdf"):
