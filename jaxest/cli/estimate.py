@@ -28,13 +28,14 @@ EXAMPLES = (
     "jaxest estimate trial.npz -m orientation --sensors gyroscope,accelerometer",
     "jaxest estimate log.csv -m orientation -c config.toml --start 10 --end 60 --force",
     "jaxest estimate log.npz -m deflection --robot arm.urdf --config sensors.toml",
+    "jaxest estimate shaken.npz -m onsite --config imus.toml",
 )
 
 
 @command
 def run(
     log: Annotated[Path, typer.Argument(help="Log to read: NPZ or CSV, in jaxest's layout or anybody's.")],
-    method: Annotated[str, typer.Option("--method", "-m", help="What to estimate: orientation, deflection.")],
+    method: Annotated[str, typer.Option("--method", "-m", help="What to estimate: orientation, deflection, onsite.")],
     robot: Annotated[
         Path | None, typer.Option("--robot", "-r", help="Robot (MJCF, URDF), for methods that need one.")
     ] = None,
@@ -84,6 +85,9 @@ def run(
     write(outcome.estimate, targets[0], overwrite=force)
     with replacing(targets[1], overwrite=force) as file:
         file.write(f"{text}\n".encode())
+    for name, content in outcome.files.items():
+        with replacing(out / name, overwrite=force) as file:
+            file.write(content.encode())
     if len(targets) > 2 and outcome.draw:
         outcome.draw(targets[2], f"{log.stem}: {method}")
     for line in outcome.refused:
@@ -94,7 +98,10 @@ def run(
     page = console()
     page.print(figures(rows[len(methods.SIZE) :], f"{log.stem}: {method}, {methods.size(rows)}"))
     note("; ".join(outcome.notes))
-    page.print(f"wrote {', '.join(str(target) for target in targets)}", soft_wrap=True)
+    page.print(
+        f"wrote {', '.join(str(target) for target in (*targets, *(out / name for name in outcome.files)))}",
+        soft_wrap=True,
+    )
     if len(targets) < 3:
         note("no picture: pip install 'jaxest[viz]'")
     return Answer(status=status)

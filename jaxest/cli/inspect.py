@@ -89,6 +89,7 @@ def _robot(file: Path, json: bool) -> Answer:
 
 def _log(file: Path, config: Path | None, json: bool) -> Answer:
     from jaxest.cli import log_view, settings
+    from jaxest.cli.methods import onsite_config
     from jaxest.cli.methods.deflection_config import of_log
     from jaxest.cli.methods.orientation import imus
     from jaxest.io import read, to_toml
@@ -102,7 +103,7 @@ def _log(file: Path, config: Path | None, json: bool) -> Answer:
     try:
         log = read(file, proposal.table if proposal else columns)
         summary = summarize(log)
-        text = log_view.with_settings(text, summary, imus(log), of_log(log))
+        text = log_view.with_settings(text, summary, imus(log), of_log(log), onsite_config.of_log(imus(log)))
     except InputError:
         if not unsure:
             raise

@@ -56,7 +56,7 @@ def show(summary: Summary, title: str, out: Console) -> None:
         out.print("[green]nothing looks wrong[/]")
 
 
-def with_settings(text: str, summary: Summary, imus: list[str], deflection: str = "") -> str:
+def with_settings(text: str, summary: Summary, imus: list[str], deflection: str = "", onsite: str = "") -> str:
     """Put around a config what `estimate` needs to be told about a log, beside its layout.
 
     Args:
@@ -64,6 +64,7 @@ def with_settings(text: str, summary: Summary, imus: list[str], deflection: str 
         summary: from `jaxest.io.inspect.summarize`.
         imus: names of the IMUs; one of several is to be chosen.
         deflection: the lines of `[deflection]`, if there are any.
+        onsite: the lines of `[onsite]`, likewise.
 
     Returns:
         TOML text; nothing where nothing needs to be said.
@@ -76,7 +77,7 @@ def with_settings(text: str, summary: Summary, imus: list[str], deflection: str 
     if len(imus) > 1:
         others = ", ".join(json.dumps(name) for name in imus[1:])
         parts.append(f"[orientation]\nimu = {json.dumps(imus[0])}  # or {others}\n")
-    parts += [deflection] if deflection else []
+    parts += [lines for lines in (deflection, onsite) if lines]
     return "\n".join(parts)
 
 

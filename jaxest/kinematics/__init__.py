@@ -2,9 +2,9 @@
 
 Start with `load` (MJCF or URDF) and `forward`; then `jacobian`; the dynamics `gravity_torque`, `inverse_dynamics`,
 `mass_matrix`, `bias_force`, `forward_dynamics`; `with_parameters` to change or tune a robot's numbers, `expand` for
-coupled joints; `inverse_kinematics` for `Target`s; `write` for a file. Each function takes one configuration; batch it with `jax.vmap` and
-compile it with `jax.jit`. Chains of links are scans, so that the batch stays fast for 4 to 50 joints, gradients
-included.
+coupled joints; `inverse_kinematics` for `Target`s; `write` for a file. Each function takes one configuration; batch it
+with `jax.vmap` and compile it with `jax.jit`. Chains of links are scans, so that the batch stays fast for 4 to 50
+joints, gradients included.
 
 Not here: sensors on the robot (`jaxest.sensors`), estimation of its state (`jaxest.systems`).
 """

@@ -72,7 +72,10 @@ def to_mjcf(robot: Robot) -> str:
 def _mjcf_joint(robot: Robot, joint: int, element: Element) -> None:
     topology = robot.topology
     kind, name = topology.joint_kind[joint], topology.joint_names[joint]
-    q, v = topology.joint_q[joint], slice(topology.joint_v[joint], topology.joint_v[joint] + NV[topology.joint_kind[joint]])
+    q, v = (
+        topology.joint_q[joint],
+        slice(topology.joint_v[joint], topology.joint_v[joint] + NV[topology.joint_kind[joint]]),
+    )
     passive = {"armature": robot.armature[v][0], "damping": robot.damping[v][0],
                "frictionloss": robot.friction_loss[v][0], "stiffness": robot.stiffness[joint]}  # fmt: skip
     made = SubElement(element, "joint", name=name, type=kind)
@@ -205,7 +208,9 @@ def _mimic(robot: Robot, joint: int, made: Element) -> None:
         if dependent != joint:
             continue
         if leader < 0 or np.any(coefficients[2:]):
-            raise InputError(f"URDF: joint {topology.joint_names[joint]!r}: its coupling is not linear in another joint")
+            raise InputError(
+                f"URDF: joint {topology.joint_names[joint]!r}: its coupling is not linear in another joint"
+            )
         offset = reference[topology.joint_q[joint]] + coefficients[0]
         offset = offset - coefficients[1] * reference[topology.joint_q[leader]]
         SubElement(made, "mimic", joint=topology.joint_names[leader], multiplier=_text(coefficients[1]),

@@ -12,7 +12,11 @@ from jaxest.io import SensorLog
 from jaxest.io.report import Row
 from jaxest.types import unknown_name
 
-METHODS = {"orientation": "jaxest.cli.methods.orientation", "deflection": "jaxest.cli.methods.deflection"}
+METHODS = {
+    "orientation": "jaxest.cli.methods.orientation",
+    "deflection": "jaxest.cli.methods.deflection",
+    "onsite": "jaxest.cli.methods.onsite",
+}
 """Name of a method, and the module that holds it."""
 
 
@@ -46,6 +50,8 @@ class Outcome(NamedTuple):
     """why the result must not be used; empty where it may"""
     draw: Callable[[Path, str], None] | None
     """writes a picture with a title, if there is one to draw"""
+    files: Mapping[str, str] = {}
+    """texts to be written beside the estimate, by the name of the file"""
 
 
 def estimate(method: str, log: SensorLog, request: Request) -> Outcome:

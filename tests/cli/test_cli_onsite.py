@@ -1,0 +1,131 @@
+"""`jaxest estimate --method onsite`: two IMUs on a link, a robot of modules, and what may be wrong with configs."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from jaxest import kinematics
+from jaxest.cli.methods import onsite_config
+from jaxest.io import SensorLog, Stream, read, write
+from jaxest.simulate import imu, manipulator
+from jaxest.systems import onsite
+from jaxest.types import InputError
+
+MODULES = """
+[onsite.modules.joint0]
+axis = [0, 0, 1]
+place = {{ position = [0, 0, 0.25] }}
+
+[onsite.modules.joint1]
+place = {{ position = [0, 0, 0.06] }}
+after = {{ imu = "imu0", position = {after[1]}, quaternion = {after[0]} }}
+
+[onsite.modules.joint2]
+before = {{ imu = "imu1", position = {before[1]}, quaternion = {before[0]} }}
+
+[onsite.tool]
+position = [0.11, 0, 0]
+"""
+
+
+def streams(imus):
+    """A log's streams of IMUs (time, rates, forces) by name."""
+    found = {}
+    for name, (time, rates, forces) in imus.items():
+        found[f"{name}/gyroscope"] = Stream(np.asarray(time, float), np.asarray(rates), "rad/s")
+        found[f"{name}/accelerometer"] = Stream(np.asarray(time, float), np.asarray(forces), "m/s2")
+    return SensorLog(found)
+
+
+@pytest.fixture(scope="module")
+def rod():
+    params = jax.tree.map(np.float32, onsite.build().default_params)
+    m, truth = jax.jit(lambda key: onsite.simulate(params, key=key, steps=1000))(jax.random.key(2))
+    time = np.arange(1000) / 100
+    imus = {name: (time, *(getattr(m, f"{kind}_{side}").value for kind in ("gyroscope", "accelerometer")))
+            for name, side in (("left", "a"), ("right", "p"))}  # fmt: skip
+    return imus, jax.tree.map(np.asarray, truth)
+
+
+def test_two_imus(invoke, rod, tmp_path):
+    imus, truth = rod
+    write(streams(imus), tmp_path / "log.npz")
+    place, turn = ([float(x) for x in v] for v in (truth.position, truth.quaternion))
+    (tmp_path / "c.toml").write_text(f"[onsite]\nposition = {place}\nquaternion = {turn}\n")
+    result = invoke("estimate", "log.npz", "-m", "onsite", "-c", "c.toml", "-o", "out", "--json")
+    assert result.exit_code == 0, result.output
+    rows = {(r["metric"], r["condition"]): r["value"] for r in json.loads(result.stdout)["rows"]}
+    assert rows["position error", "to the config's"] < 2
+    assert rows["rotation error", "to the config's"] < 0.2
+    found = read(tmp_path / "out" / "estimate.npz").streams
+    np.testing.assert_allclose(found["position"].value[0], truth.position, atol=2e-3)
+    assert found["position"].frame == "left"
+    assert found["pose_covariance"].value.shape == (1, 6, 6)
+    np.testing.assert_allclose(found["live/position"].value[-1], truth.position, atol=3e-3)
+    assert np.isnan(found["live/position"].value[0]).all()
+
+
+def test_which_two_of_three(refused, rod, tmp_path):
+    imus, _ = rod
+    write(streams({**imus, "third": imus["left"]}), tmp_path / "log.npz")
+    message = refused("estimate", "log.npz", "-m", "onsite", "-o", "out")
+    assert "left, right, third; say which two in a config" in message.replace("\n", " ")
+    (tmp_path / "c.toml").write_text('[onsite]\nfirst = "left"\nsecond = "rihgt"\n')
+    assert "'right/gyroscope'" in refused("estimate", "log.npz", "-m", "onsite", "-c", "c.toml", "-o", "out")
+
+
+def test_a_robot_of_modules(invoke, tmp_path):
+    sticks = manipulator.draw(1)
+    recorded = manipulator.swing(sticks, 1, seconds=16.0, sensor=imu.perfect())
+    imus = {f"imu{e}": tuple(part[0][e] for part in recorded[:3]) for e in (0, 1)}
+    write(streams(imus), tmp_path / "log.npz")
+    modules = sticks.assembly.modules
+    mountings = {side: [[float(x) for x in v] for v in pose]
+                 for side, pose in (("after", modules[1].after), ("before", modules[2].before))}  # fmt: skip
+    (tmp_path / "c.toml").write_text(MODULES.format(**mountings))
+    result = invoke("estimate", "log.npz", "-m", "onsite", "-c", "c.toml", "-o", "out", "--json")
+    assert result.exit_code == 0, result.output
+    found = read(tmp_path / "out" / "estimate.npz").streams
+    np.testing.assert_allclose(found["joint2/position"].value[-1], sticks.links[0].translation, atol=2e-3)
+    for name in ("robot.xml", "robot.urdf"):
+        robot = kinematics.load(tmp_path / "out" / name)
+        assert robot.joint_names == ("joint0", "joint1", "joint2")
+        place = kinematics.forward(robot, np.zeros(3), ["joint2_horn"]).position[0]
+        np.testing.assert_allclose(place, np.add(sticks.links[0].translation, [0, 0, 0.31]), atol=2e-3)
+
+
+def test_configs_that_make_no_robot():
+    plain = {"modules": {"a": {"axis": [0, 0]}}}
+    with pytest.raises(InputError, match=r"\[onsite.modules.a\] axis: got \[0, 0\], expected 3 numbers"):
+        onsite_config.modules(plain)
+    with pytest.raises(InputError, match="quaternion of length 2, expected 1"):
+        onsite_config.modules({"modules": {"a": {"before": {"quaternion": [2, 0, 0, 0]}}}})
+    with pytest.raises(InputError, match="every module has a `place`"):
+        onsite_config.modules({"modules": {"a": {}}})
+
+
+def test_inspect_proposes_a_first_config(invoke, rod, tmp_path):
+    imus, _ = rod
+    write(streams(imus), tmp_path / "log.npz")
+    shown = json.loads(invoke("inspect", "log.npz", "--json").stdout)["config"]
+    assert '[onsite]  # two IMUs on one rigid link\nfirst = "left"\nsecond = "right"\n' in shown
+    three = onsite_config.of_log(["a", "b", "c"])
+    assert "# [onsite.modules.joint1]" in three
+    assert onsite_config.of_log(["a"]) == ""
+
+
+@pytest.mark.recorded
+@pytest.mark.slow
+def test_the_recorded_rod(invoke, shared, tmp_path):
+    """Through a [columns] table, all defaults: 6 mm and 1.8 deg."""
+    file = shared / "recordings" / "two_imus_200mm" / "twoimus_200mm_sample.npz"
+    config = json.loads(invoke("inspect", file, "--json").stdout)["config"]
+    config = config.replace('second = "imu1"\n', 'second = "imu1"\nposition = [-0.2, 0, 0]\n')
+    (tmp_path / "c.toml").write_text(config)
+    result = invoke("estimate", file, "-m", "onsite", "-c", "c.toml", "-o", "out", "--json")
+    assert result.exit_code == 0, result.output
+    rows = {(r["metric"], r["condition"]): r["value"] for r in json.loads(result.stdout)["rows"]}
+    assert rows["position error", "to the config's"] < 6
+    assert rows["rotation error", "to the config's"] < 1.8
