@@ -4,6 +4,7 @@
 joined by `+` are one and the same. A point of the space is a vector (n,), whose `unpack` is the whole pytree.
 """
 
+import dataclasses
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
@@ -29,7 +30,8 @@ class Free(NamedTuple):
         return self.paths[0] + (f" (+{len(self.paths) - 1})" if len(self.paths) > 1 else "")
 
 
-class Space(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Space:
     """All free values: static, hashed by identity. Build it once."""
 
     free: tuple[Free, ...]

@@ -48,6 +48,12 @@ def test_free_tied_and_frozen(dtype):
     np.testing.assert_allclose(space.pack(there, dtype), z + jnp.asarray([0.1, 0.2], dtype), rtol=1e-5)
 
 
+def test_a_space_of_arrays_can_be_static():
+    space = tuning.space(NESTED, ["walk"])
+    assert jax.jit(lambda s, z: s.unpack(z).walk, static_argnums=0)(space, jnp.zeros(1)) == 1
+    assert hash(space) != hash(tuning.space(NESTED, ["walk"]))
+
+
 def test_a_tie_adds_its_gradients():
     space = tuning.space(NESTED, {"sensors.a.lam+sensors.b.lam": tr.bingham})
 
