@@ -13,6 +13,10 @@ from jaxest.tuning.optimise import Problem, goes_forward, loss_at
 from jaxest.tuning.recordings import Recording
 from jaxest.types import Array
 
+STEP, STEP_DRAWN = 0.05, 0.2
+"""How far apart gradients are compared, in free numbers."""
+FLAT = 1e-4
+"""Curvature, as a share of the largest, below which a direction has none that differences could tell from 0."""
 LOOSE = 1.0
 """Standard error in free numbers (a factor e of a positive value) beyond which a parameter counts as unidentified."""
 
@@ -48,8 +52,10 @@ class Estimate(NamedTuple):
 def curvature(problem: Problem, z: Array, batch: Recording, keys: Array | None = None) -> Curvature:
     """Return value, gradient, Hessian and the covariance that follows.
 
-    For a likelihood the covariance is the inverse of the summed Hessian; for other objectives that of an M-estimator,
-    from how the gradients of single recordings differ, so it wants a good many recordings.
+    The Hessian is the difference of gradients on both sides of the point, `STEP` away (`STEP_DRAWN` where they are
+    drawn, with the same keys): one compiled gradient serves, where second derivatives through a filter take minutes to
+    compile. For a likelihood the covariance is the inverse of the summed Hessian; for other objectives that of an
+    M-estimator, from how the gradients of single recordings differ, so it wants a good many recordings.
 
     Args:
         problem: what is tuned.
@@ -63,38 +69,44 @@ def curvature(problem: Problem, z: Array, batch: Recording, keys: Array | None =
     Source: van der Vaart 1998 (Asymptotic statistics), theorem 5.21.
     """
     keys = jax.random.split(jax.random.key(0), 1) if keys is None else keys
-    drawn = [jax.tree.map(np.asarray, _derivatives(problem, z, batch, key)) for key in keys]
-    value, gradients, hessian = (np.asarray(np.mean([d[i] for d in drawn], axis=0, dtype=float)) for i in range(3))
+    step = STEP_DRAWN if problem.objective.random else STEP
+    shift = step * jnp.eye(z.shape[0], dtype=z.dtype)
+    points = jnp.concatenate([z[None], z[None] + shift, z[None] - shift])
+    drawn = [[np.asarray(x, np.float64) for x in _gradients(problem, points, batch, key)] for key in keys]
+    values, gradients = (np.asarray(np.mean([d[i] for d in drawn], axis=0)) for i in range(2))
+    size, count = z.shape[0], gradients.shape[1]
+    hessian = (gradients[1 : size + 1] - gradients[size + 1 :]).mean(axis=1) / (2 * step)
     hessian = (hessian + hessian.T) / 2
-    count = gradients.shape[0]
-    means = np.array([d[1].mean(axis=0) for d in drawn], np.float64)
+    means = np.array([d[1][0].mean(axis=0) for d in drawn])
     spread = np.zeros_like(hessian)
     if len(keys) > 1:
         spread = np.cov(means, rowvar=False).reshape(hessian.shape) / len(keys)
-    middle = hessian / count
+    middle, own = hessian / count, gradients[0]
     if not problem.objective.likelihood:
-        centred = gradients - gradients.mean(axis=0)
+        centred = own - own.mean(axis=0)
         middle = centred.T @ centred / max(count * (count - 1), 1)
-    return Curvature(float(value), gradients.mean(axis=0), hessian, _sandwich(hessian, middle + spread), spread)
+    covariance = _sandwich(hessian, middle + spread)
+    return Curvature(float(values[0].mean()), own.mean(axis=0), hessian, covariance, spread)
 
 
 @partial(jax.jit, static_argnums=0)
-def _derivatives(problem: Problem, z: Array, batch: Recording, key: Array) -> tuple[Array, Array, Array]:
-    loss = partial(loss_at, problem)
-    inner = jax.jacfwd if goes_forward(problem) else jax.jacrev
+def _gradients(problem: Problem, points: Array, batch: Recording, key: Array) -> tuple[Array, Array]:
+    """Losses (points, B) and gradients (points, B, n)."""
 
-    def one(recording: Recording, key: Array | None) -> tuple[Array, Array, Array]:
-        slope = inner(loss)
-        return loss(z, recording, key), slope(z, recording, key), jax.jacfwd(slope)(z, recording, key)
+    def one(z: Array, recording: Recording, key: Array | None) -> tuple[Array, Array]:
+        loss = partial(loss_at, problem)
+        if not goes_forward(problem):
+            return jax.value_and_grad(loss)(z, recording, key)
+        push = jax.vmap(lambda v: jax.jvp(lambda z: loss(z, recording, key), (z,), (v,)), out_axes=(None, 0))
+        return push(jnp.eye(z.shape[0], dtype=z.dtype))
 
-    values, gradients, hessians = per_recording(problem.objective, one, batch, key)
-    return jnp.mean(values), gradients, jnp.mean(hessians, axis=0)
+    return jax.vmap(lambda z: per_recording(problem.objective, partial(one, z), batch, key))(points)
 
 
 def _sandwich(hessian: NDArray[Any], middle: NDArray[Any]) -> NDArray[Any]:
     """Inverse Hessian on both sides; directions of no or negative curvature are unknown, all that they touch too."""
     values, vectors = np.linalg.eigh(hessian)
-    flat = values <= 1e-6 * max(values[-1], 0.0)
+    flat = values <= FLAT * max(values[-1], 0.0)
     inverse = np.where(flat, 0.0, 1 / np.where(flat, 1.0, values))
     back = (vectors * inverse) @ vectors.T
     found = back @ middle @ back

@@ -63,8 +63,9 @@ def draw(
     for axis in axes:
         axis.grid(alpha=0.25, linewidth=0.6)
         axis.spines[["top", "right"]].set_visible(False)
-        axis.tick_params(labelsize=8)
+        axis.tick_params(labelsize=8, which="both")
     axes[-1].set_xlabel("evaluations", fontsize=9)
+    axes[-1].xaxis.get_major_locator().set_params(integer=True)
     figure.savefig(path, dpi=110)
 
 
@@ -73,6 +74,8 @@ def _scale(axis: Any, values: NDArray[Any]) -> None:
     there = values[np.isfinite(values)]
     if there.size and (there > 0).all() and there.max() > 3 * there.min():
         axis.set_yscale("log")
+        for part in (axis.yaxis.set_major_formatter, axis.yaxis.set_minor_formatter):
+            part(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "125" else "")
 
 
 __all__ = ["draw"]
