@@ -93,7 +93,7 @@ def run(
     shown = _rows(given, found, rows, held_out, time.perf_counter() - begun)
     loose = [row.name for row in rows if not row.identified]
     if loose:
-        warn(f"these logs do not tell {', '.join(loose)}: its standard error is larger than a factor e")
+        warn(f"these logs hardly tell {', '.join(loose)}: standard errors of a factor e or more")
     if json:
         return Answer(json_object(report(NAME, shown), unidentified=loose))
     from jaxest.cli.tables import figures
@@ -118,10 +118,11 @@ def _prepare(
     if robot is not None:
         existing(robot)
     chosen = settings.load(config)
-    sources = []
+    sources, said = [], set()
     for i, path in enumerate(logs):
         log = read(path, chosen.columns)
-        if log.notes:
+        if log.notes and log.notes not in said:  # logs of one kind say the same
+            said.add(log.notes)
             note(f"{path.name}: {'; '.join(log.notes)}")
         sources.append(tunable.Source(log, read(truth[i]) if truth else log))
     request = methods.Request(chosen.method(method), None, chosen.nan, robot)
