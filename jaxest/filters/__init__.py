@@ -2,8 +2,9 @@
 
 Start with `run`: it drives every estimator over T measurements and keeps what `full`, `last` or `every(k)` ask for.
 An estimator is a file: `complementary` gives the orientation of one IMU, `complementary_covariance` how well it is
-known. Its parameters, state, measurement and `init` / `step` live there; batches are the caller's `vmap`. `attitude`
-holds more accurate filters of one IMU, and a smoother. `kalman` makes both of any model on a product manifold.
+known, `pair` the rotation between two. Parameters, state, measurement and `init` / `step` live there; batches are the
+caller's `vmap`. `attitude` holds more accurate filters of one IMU, and a smoother. `kalman` makes both of any model on
+a product manifold.
 
 `savitzky_golay` smooths and differentiates on real time stamps, `bingham_linear` finds the rotation between two gyros,
 `rls` solves for three unknowns as observations come. `particle` follows any noise and any likelihood with particles,
@@ -19,6 +20,7 @@ from jaxest.filters import (
     complementary,
     complementary_covariance,
     kalman,
+    pair,
     particle,
     resampling,
     rls,
@@ -38,6 +40,7 @@ __all__ = [
     "full",
     "kalman",
     "last",
+    "pair",
     "particle",
     "resampling",
     "rls",
