@@ -20,6 +20,7 @@ from kalman_models import build as kalman_body
 from onsite_models import pose, position, rotation, window
 from particle_models import GUIDED
 from particle_models import build as particle_arm
+from posture_models import fused, paired, pairs
 
 from jaxest.filters import attitude, bingham_linear, complementary, kalman, resampling, rls, run
 from jaxest.io.checkpoint import load_state, save_state
@@ -45,6 +46,9 @@ ROWS = [
     Row("attitude_ekf", partial(orientation.build, filter=attitude.ekf)),
     Row("attitude_decoupled", partial(orientation.build, filter=attitude.decoupled)),
     Row("attitude_madgwick", partial(orientation.build, filter=attitude.madgwick)),
+    Row("pair", pairs),
+    Row("posture", fused),
+    Row("posture_pairs", paired),
     Row("kalman", kalman_body),
     Row("savitzky_golay", window),
     Row("bingham_linear", rotation),

@@ -1,6 +1,6 @@
 """What an IMU on a frame of a moving robot reads."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -102,19 +102,50 @@ def ideal(robot: Robot, motion: Callable[[Array], Array], frame: int | str, time
     Returns:
         The truth at that time.
     """
+    return jax.tree.map(lambda x: x[0], ideals(robot, motion, (frame,), time))
+
+
+def ideals(robot: Robot, motion: Callable[[Array], Array], frames: Sequence[int | str], time: ArrayLike) -> Truth:
+    """Compute the same for n frames at once.
+
+    Args:
+        robot: as in `ideal`.
+        motion: as in `ideal`.
+        frames: static, indices or names.
+        time: () s; batch with `jax.vmap`.
+
+    Returns:
+        The truth at that time, leaves (n, ...).
+    """
     time = jnp.asarray(time, jnp.result_type(float))
 
     def pose(t: Array) -> tuple[Array, Array]:
-        frames = forward(robot, motion(t), (frame,))
-        return frames.position[0], frames.quaternion[0]
+        found = forward(robot, motion(t), frames)
+        return found.position, found.quaternion
 
     def moving(t: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         return jax.jvp(pose, (t,), (jnp.ones_like(t),))
 
     ((position, quaternion), (_, turning)), (_, (acceleration, _)) = jax.jvp(moving, (time,), (jnp.ones_like(time),))
-    rate = 2 * quat.compose(quat.inverse(quaternion), turning)[1:]
-    force = acceleration - jnp.asarray(robot.gravity, acceleration.dtype)
-    return Truth(quaternion, position, rate, quat.rotate(quat.inverse(quaternion), force))
+    gravity = jnp.asarray(robot.gravity, acceleration.dtype)
+
+    def felt(q: Array, dq: Array, position: Array, acceleration: Array) -> Truth:
+        rate = 2 * quat.compose(quat.inverse(q), dq)[1:]
+        return Truth(q, position, rate, quat.rotate(quat.inverse(q), acceleration - gravity))
+
+    found: Truth = jax.vmap(felt)(quaternion, turning, position, acceleration)
+    return found
+
+
+def _mounted(mounting: Array, truth: Truth) -> Truth:
+    """Turn what a frame feels into the axes of an IMU that sits on it."""
+    back = quat.inverse(mounting)
+    return Truth(
+        quat.compose(truth.quaternion, mounting),
+        truth.position,
+        quat.rotate(back, truth.rate),
+        quat.rotate(back, truth.specific_force),
+    )
 
 
 def record(
@@ -127,18 +158,20 @@ def record(
     rate_hz: float = 200.0,
     sensor: Sensor | None = None,
     field: tuple[float, float, float] | Array = (0.0, 18e-6, -41e-6),
+    mounting: ArrayLike | None = None,
 ) -> tuple[Imu, Record]:
     """Record a 9-axis IMU during a motion.
 
     Args:
         robot: the robot.
         motion: time () s -> q (nq,), twice differentiable.
-        frame: static, the frame that carries the IMU and whose axes it has.
+        frame: static, the frame that carries the IMU.
         key: key of the whole recording.
         duration: s.
         rate_hz: samples per second.
         sensor: which IMU; the default `Sensor()` if None, `mpu6050()` and `mpu6886()` for parts as they come.
         field: (3,) T, the earth's magnetic field in the world (x east, y north, z up).
+        mounting: (4,) wxyz, IMU to frame; None where the IMU has the frame's axes.
 
     Returns:
         Measurements with a leading time axis of T = `round(duration * rate_hz)` samples (a lost one is not valid; the
@@ -147,7 +180,53 @@ def record(
     Raises:
         ValueError: there is no sample.
     """
-    count = round(duration * rate_hz)
+    given = quat.identity() if mounting is None else mounting
+    measurements, found = record_all(
+        robot, motion, (frame,), key=key, duration=duration, rate_hz=rate_hz, sensor=sensor, field=field,
+        mounting=jnp.asarray(given)[None],
+    )  # fmt: skip
+    every = measurements._replace(dt=jnp.asarray(measurements.dt)[:, None])
+    return jax.tree.map(lambda x: x[:, 0], every), found._replace(
+        truth=jax.tree.map(lambda x: x[:, 0], found.truth),
+        gyroscope=jax.tree.map(lambda x: x[0], found.gyroscope),
+        accelerometer=jax.tree.map(lambda x: x[0], found.accelerometer),
+        magnetometer=jax.tree.map(lambda x: x[0], found.magnetometer),
+    )
+
+
+def record_all(
+    robot: Robot,
+    motion: Callable[[Array], Array],
+    frames: Sequence[int | str],
+    *,
+    key: Array,
+    duration: float = 60.0,
+    rate_hz: float = 200.0,
+    sensor: Sensor | None = None,
+    field: tuple[float, float, float] | Array = (0.0, 18e-6, -41e-6),
+    mounting: ArrayLike | None = None,
+) -> tuple[Imu, Record]:
+    """Record n IMUs with one clock during a motion.
+
+    Args:
+        robot: as in `record`, and so are `motion`, `key`, `duration`, `rate_hz`, `sensor` and `field`.
+        motion: see there.
+        frames: static, the n frames that carry an IMU each.
+        key: see there.
+        duration: s.
+        rate_hz: samples per second.
+        sensor: see there; each IMU draws its own faults.
+        field: (3,) T.
+        mounting: (n, 4) wxyz, each IMU to its frame; None where they have the frames' axes.
+
+    Returns:
+        Measurements, values and flags (T, n, ...) and `dt` (T,), and what they come from: truth (T, n, ...), faults
+        (n, ...).
+
+    Raises:
+        ValueError: there is no sample.
+    """
+    count, n = round(duration * rate_hz), len(frames)
     if count < 1:
         raise ValueError(f"duration, rate_hz: {duration} s at {rate_hz} Hz, expected at least one sample")
     sensor = Sensor() if sensor is None else sensor
@@ -155,16 +234,23 @@ def record(
     late = jnp.clip(sensor.jitter * jax.random.normal(keys[0], (count,)), -0.1 / rate_hz, 0.1 / rate_hz)
     dt = (1 / rate_hz + late - jnp.roll(late, 1)).at[0].set(0)
     time = jnp.arange(count) / rate_hz + late
-    truth = jax.jit(jax.vmap(lambda t: ideal(robot, motion, frame, t)))(time)
+    truth = jax.jit(jax.vmap(lambda t: ideals(robot, motion, tuple(frames), t)))(time)
+    if mounting is not None:
+        given = jnp.asarray(mounting, truth.quaternion.dtype)
+        truth = jax.vmap(jax.vmap(_mounted), (None, 0))(given, truth)
     earth = jnp.asarray(field, truth.quaternion.dtype)
-    magnetic = jax.vmap(lambda q: quat.rotate(quat.inverse(q), earth))(truth.quaternion)
-    there = jax.random.uniform(keys[1], (count,)) >= sensor.drop
-    signals = truth.rate, truth.specific_force, magnetic
-    drawn = [corrupt(k, triad, x, dt) for k, triad, x in zip(keys[2:], sensor[:3], signals, strict=True)]
-    gyroscope, accelerometer, magnetometer = (Reading(jnp.where(there[:, None], x, 0), there) for x, _ in drawn)
-    measurements = Imu(gyroscope, accelerometer, magnetometer, dt)
-    faults = (fault for _, fault in drawn)
-    return measurements, Record(truth, time, time + jnp.asarray(sensor.clock_offset, time.dtype), *faults)
+    magnetic = jax.vmap(jax.vmap(lambda q: quat.rotate(quat.inverse(q), earth)))(truth.quaternion)
+    there = jax.random.uniform(keys[1], (count, n)) >= sensor.drop
+    found, faults = [], []
+    for k, triad, signal in zip(keys[2:], sensor[:3], (truth.rate, truth.specific_force, magnetic), strict=True):
+        drawn, fault = jax.vmap(lambda k, x, triad=triad: corrupt(k, triad, x, dt), (0, 1), (1, 0))(
+            jax.random.split(k, n), signal
+        )
+        found.append(Reading(jnp.where(there[:, :, None], drawn, 0), there))
+        faults.append(fault)
+    gyroscope, accelerometer, magnetometer = found
+    imus = Imu(gyroscope, accelerometer, magnetometer, dt)
+    return imus, Record(truth, time, time + jnp.asarray(sensor.clock_offset, time.dtype), *faults)
 
 
-__all__ = ["Record", "Sensor", "Truth", "ideal", "mpu6050", "mpu6886", "perfect", "record"]
+__all__ = ["Record", "Sensor", "Truth", "ideal", "ideals", "mpu6050", "mpu6886", "perfect", "record", "record_all"]

@@ -1,0 +1,334 @@
+"""The posture of a robot, hand or arm from inertial sensors on its links alone.
+
+Each IMU's orientation comes from an attitude filter of its own; the joint coordinates are those that explain all of
+them best, on the robot's manifold, anew at every sample. Without a magnetometer the heading of each IMU is its own.
+These headings are estimated as slowly drifting states beside the joints: where the joints leave no room for a
+difference of headings (hinges that are not vertical, see Laidig et al. 2019) it becomes known, and where they do, what
+was learned before still holds for as long as the gyroscopes are good for. What cannot be known is reported so: `known`
+near 0 and the variance of half a turn, as for the yaw of the root.
+
+Source: Santaera 2015, sections III and IV, with links' orientations in place of pairs (pairs: `jaxest.filters.pair`).
+"""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxest.filters import attitude
+from jaxest.filters.complementary import Imu
+from jaxest.kinematics import Robot, expand, frame
+from jaxest.kinematics.movement import moved, movers, room, spread
+from jaxest.kinematics.orientations import REACH, UNKNOWN, errors, rotations
+from jaxest.manifolds import quaternion as quat
+from jaxest.simulate import imu as imus_on
+from jaxest.simulate import trajectories
+from jaxest.systems import orientation
+from jaxest.systems._posture_fusion import fuse
+from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, InputError, PyTree, System
+
+SLACK = 0.3
+"""How far an estimate may be beyond a joint's limits, rad: noise about a limit must not be cut off on one side."""
+SMALL = 1e-5
+"""Variance of an orientation about its own vertical, rad^2, where the heading is a state of its own."""
+
+
+class Params(NamedTuple):
+    """What may be tuned."""
+
+    filter: PyTree
+    """of the attitude filter, the same for all IMUs"""
+    mounting: ArrayLike
+    """(n, 4) wxyz, each IMU to its frame"""
+    start: ArrayLike
+    """(nq,) posture from which the joints, and the headings of IMUs without magnetometer, begin"""
+    initial_heading: ArrayLike = 1.8
+    """() or (n,) rad, standard deviation of those headings: half a turn either way where the start is unknown, some
+    hundredths after a zero posture."""
+    memory: ArrayLike = 0.5
+    """() s, for how long the IMUs' tilts are wrong alike."""
+    prior: ArrayLike = UNKNOWN
+    """() rad^2, variance of a joint about the sample before it, where nothing tells."""
+
+
+class State(NamedTuple):
+    """What the next step needs, for n IMUs."""
+
+    filters: PyTree
+    """of the attitude filter, leaves (n, ...)"""
+    q: Array
+    """(nq,) joint coordinates."""
+    heading: Array
+    """(n,) rad, by how much each IMU's orientation is turned about the vertical."""
+    heading_covariance: Array
+    """(n, n) rad^2"""
+    heading_variance: Array
+    """(n,) rad^2, of the attitude filters' own headings at this sample; what they gain the covariance gains."""
+    begun: Array
+    """(n,) bool, whether each IMU's heading has been set."""
+    index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
+    """() int32, steps seen."""
+
+
+class Info(NamedTuple):
+    """The estimate of one step and how it came about."""
+
+    q: Array
+    """(nq,) joint coordinates, rad (m for slides, which stay where they started)."""
+    covariance: Array
+    """(nv, nv) of their errors in velocity coordinates."""
+    known: Array
+    """(nv,) share of the prior's variance that the sensors took away; far below 1: not observed."""
+    quaternion: Array
+    """(n, 4) wxyz, each IMU to earth, its heading corrected."""
+    heading: Array
+    """(n,) rad, the correction."""
+    heading_deviation: Array
+    """(n,) rad, its standard deviation."""
+    residual: Array
+    """(n, 3) rad in the earth frame: what the joints cannot explain of each orientation."""
+    valid: Array
+    """() bool, whether every IMU has an orientation."""
+    status: Array
+    """() int32, `OK`, `NON_FINITE` or `NOT_CONVERGED`; see `jaxest.types.status_message`."""
+
+
+def build(
+    robot: Robot,
+    imus: Sequence[str],
+    *,
+    magnetic: bool = False,
+    filter: Any = attitude.ekf,
+    iterations: int = 2,
+) -> System:
+    """Build the posture estimator of one robot.
+
+    Args:
+        robot: the robot; its root may turn (a ball or free joint), and where it moves to does not matter.
+        imus: the frames that carry an IMU each, `site:NAME` or a body; `Params.mounting` turns the IMUs in them.
+        magnetic: whether the IMUs have magnetometers that can be trusted for a common heading.
+        filter: module of the attitude filter: `jaxest.filters.attitude.ekf`, `decoupled`, or `complementary`.
+        iterations: Gauss-Newton steps a sample.
+
+    Returns:
+        The system. Its measurement is `complementary.Imu` with a leading axis of n IMUs on values and flags and one
+        `dt`.
+
+    Raises:
+        InputError: a frame does not exist, is named twice, or no joint moves any of them.
+        ValueError: the filter gives no covariance.
+    """
+    names = tuple(imus)
+    for name in names:
+        frame(robot, name)
+    if len(set(names)) != len(names) or not names:
+        raise InputError(f"imus: got {', '.join(names) or 'none'}, expected different frames, at least one")
+    if not movers(robot.topology, names):
+        raise InputError(f"imus: no joint moves any of {', '.join(names)}")
+    if filter is attitude.madgwick:
+        raise ValueError("filter: madgwick gives no covariance, expected ekf, decoupled or complementary")
+    sensors = orientation.SENSORS if magnetic else orientation.SENSORS[:2]
+    inner = orientation.build(sensors=sensors, filter=filter, covariance=hasattr(filter, "projection"))
+    aligned = np.tile(np.array([1.0, 0, 0, 0]), (len(names), 1))
+    params = Params(inner.default_params, aligned, np.asarray(robot.home, float))
+    return System(
+        params,
+        partial(init, inner, len(names)),
+        partial(step, robot, names, inner, magnetic, iterations),
+        partial(simulate, robot, names, magnetic),
+    )
+
+
+def init(inner: System, count: int, params: Params, *, key: Array | None = None) -> State:
+    """Return the state that has seen no data."""
+    one = inner.init(params.filter)
+    filters = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *jnp.shape(x))), one)
+    dtype = next(x.dtype for x in jax.tree.leaves(one) if jnp.issubdtype(x.dtype, jnp.floating))
+    zero = jnp.zeros(count, dtype)
+    return State(
+        filters,
+        jnp.asarray(params.start, dtype),
+        zero,
+        jnp.zeros((count, count), dtype),
+        zero,
+        jnp.zeros(count, bool),
+        jnp.zeros((), jnp.int32),
+    )
+
+
+def step(
+    robot: Robot,
+    names: tuple[str, ...],
+    inner: System,
+    magnetic: bool,
+    iterations: int,
+    params: Params,
+    state: State,
+    measurement: Imu,
+    *,
+    key: Array | None = None,
+) -> tuple[State, Info]:
+    """Take in one sample of every IMU; the leading arguments are bound by `build`."""
+    dtype = state.q.dtype
+    axes: Any = Imu._make([0, 0, 0 if magnetic else None, None])
+    one = measurement if magnetic else measurement._replace(magnetometer=None)
+    filters, infos = jax.vmap(partial(inner.step, params.filter), (0, axes))(state.filters, one)
+    mounting = jax.vmap(quat.normalize)(jnp.asarray(params.mounting, dtype))
+    raw = jax.vmap(lambda q, m: quat.compose(q, quat.inverse(m)))(infos.quaternion, mounting)  # frame to earth
+    earth = jax.vmap(lambda q, c: _turned(quat.to_matrix(q), c))(infos.quaternion, infos.covariance)
+    state, noise = _headings(robot, names, magnetic, params, state, raw, earth, infos.valid)
+    now = jnp.where(jnp.isfinite(measurement.dt), measurement.dt, 0)
+    share = jnp.clip(now / (2 * jnp.asarray(params.memory, dtype)), 0, 1)
+    state, fused, residual, moving = _solved(robot, names, params, state, raw, noise, share, iterations)
+    across = spread(robot, moving, state.q)
+    prior = jnp.asarray(params.prior, dtype)
+    free = jnp.where(jnp.any(across != 0, axis=1), 0, prior)
+    covariance = across @ fused.covariance @ across.T + jnp.diag(free)
+    before = jnp.sum(across * across, axis=1) * prior
+    known = jnp.where(before > 0, 1 - jnp.diagonal(covariance) / jnp.where(before > 0, before, 1), 0)
+    corrected = jax.vmap(lambda h, q: quat.compose(_about_up(-h), q))(state.heading, infos.quaternion)
+    finite = jnp.isfinite(jnp.sum(covariance)) & jnp.isfinite(jnp.sum(state.q))
+    status = jnp.maximum(jnp.max(infos.status), jnp.where(finite, OK, NOT_CONVERGED)).astype(jnp.int32)
+    status = jnp.where(jnp.any(infos.status == NON_FINITE), NON_FINITE, status)
+    deviation = jnp.sqrt(jnp.maximum(jnp.diagonal(state.heading_covariance), 0) + jnp.finfo(dtype).tiny)
+    info = Info(state.q, covariance, known, corrected, state.heading, deviation, residual, jnp.all(infos.valid), status)
+    return state._replace(filters=filters, index=state.index + 1), info
+
+
+def _headings(
+    robot: Robot, names: Any, magnetic: bool, params: Params, state: State, raw: Array, earth: Array, valid: Array
+) -> tuple[State, Array]:
+    """Let headings begin and drift; return also each orientation's noise (n, 3, 3) beside its heading's."""
+    dtype = state.q.dtype
+    count = len(names)
+    variance = earth[:, 2, 2]
+    if magnetic:
+        return state._replace(heading_variance=variance, begun=valid), earth
+    model, _ = rotations(robot, state.q, names)
+    new = valid & ~state.begun
+    turn = jax.vmap(lambda r, m: 2 * jnp.arctan2(*_twist(quat.compose(r, quat.inverse(m)))))(raw, model)
+    first = jnp.broadcast_to(jnp.asarray(params.initial_heading, dtype) ** 2, (count,))
+    grown = jnp.where(state.begun, jnp.maximum(variance - state.heading_variance, 0), 0)
+    moved = state._replace(
+        heading=jnp.where(new, turn, state.heading),
+        heading_covariance=state.heading_covariance + jnp.diag(grown + jnp.where(new, first, 0)),
+        heading_variance=variance,
+        begun=state.begun | valid,
+    )
+    flat = np.zeros((1, 3, 3), bool)
+    flat[:, :2, :2] = True
+    own = jnp.where(flat, earth, 0) + jnp.asarray(np.diag([0, 0, SMALL])[None], dtype)
+    unknown = UNKNOWN * jnp.eye(3, dtype=dtype)[None]
+    return moved, jnp.where(moved.begun[:, None, None], own, unknown)
+
+
+def _solved(
+    robot: Robot, names: Any, params: Params, state: State, raw: Array, noise: Array, share: Array, iterations: int
+) -> tuple[State, Any, Array, tuple[int, ...]]:
+    """Move joints and headings to where the orientations want them; headings in the last iteration only."""
+    moving = movers(robot.topology, names)
+    prior = jnp.asarray(params.prior, state.q.dtype)
+
+    def once(carry: Any, share: Array) -> Any:
+        q, heading, gone, covariance = carry
+        seen = jax.vmap(lambda h, r: quat.compose(_about_up(-h), r))(heading, raw)
+        error, slope = errors(robot, q, names, None, seen)
+        across = spread(robot, moving, q)
+        fused = fuse(slope @ across, noise, error, covariance, prior, gone, share)
+        move = jnp.clip(fused.move, *_room(robot, moving, q))
+        q = moved(robot, q, across @ move)
+        return (q, heading + fused.heading_move, gone + move, fused.heading_covariance), (fused, error)
+
+    shares = jnp.concatenate([jnp.zeros(iterations - 1, share.dtype), share[None]])
+    size = spread(robot, moving, state.q).shape[1]
+    carry = state.q, state.heading, jnp.zeros(size, state.q.dtype), state.heading_covariance
+    (q, heading, _, covariance), (fused, _) = jax.lax.scan(once, carry, shares)
+    seen = jax.vmap(lambda h, r: quat.compose(_about_up(-h), r))(heading, raw)
+    residual, _ = errors(robot, q, names, None, seen)
+    after = state._replace(q=q, heading=heading, heading_covariance=covariance)
+    return after, jax.tree.map(lambda x: x[-1], fused), residual, moving
+
+
+def _room(robot: Robot, moving: tuple[int, ...], q: Array) -> tuple[Array, Array]:
+    """How far the joints may move in one step: not by whole turns, nor far beyond their limits."""
+    low, high = room(robot, moving, q)
+    return jnp.clip(low - SLACK, -REACH, 0), jnp.clip(high + SLACK, 0, REACH)
+
+
+def _turned(matrix: Array, covariance: Array) -> Array:
+    half = jnp.sum(matrix[:, :, None] * covariance[None, :, :], axis=1)
+    return jnp.sum(half[:, None, :] * matrix[None, :, :], axis=2)
+
+
+def _about_up(angle: Array) -> Array:
+    zero = jnp.zeros_like(angle)
+    return jnp.stack([jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2)])
+
+
+def _twist(q: Array) -> tuple[Array, Array]:
+    """Sine and cosine of half the turn about the vertical that comes nearest."""
+    sign = jnp.where(q[0] < 0, -1, 1)
+    some = q[0] ** 2 + q[3] ** 2 > 0
+    return jnp.where(some, sign * q[3], 0), jnp.where(some, sign * q[0], 1)
+
+
+class Truth(NamedTuple):
+    """What simulated measurements come from."""
+
+    q: Array
+    """(T, nq)"""
+    quaternion: Array
+    """(T, n, 4) wxyz, IMU to earth"""
+
+
+def simulate(
+    robot: Robot,
+    names: tuple[str, ...],
+    magnetic: bool,
+    params: Params,
+    *,
+    key: Array,
+    steps: int = 1000,
+    rate_hz: float = 100.0,
+    sensor: Any = None,
+    fastest: float = 0.5,
+) -> tuple[Imu, Truth]:
+    """Draw a random motion within the joints' limits and what the IMUs read; `build` binds the leading arguments.
+
+    Args:
+        robot: the robot.
+        names: frames with an IMU.
+        magnetic: whether there are magnetometers.
+        params: mountings, and the dtype.
+        key: key of the whole draw.
+        steps: number of samples T, static.
+        rate_hz: samples per second.
+        sensor: a `jaxest.simulate.imu.Sensor`, or None for its default.
+        fastest: Hz, of the joints' motion.
+
+    Returns:
+        Measurements with a leading axis of T, all valid, and the truth.
+    """
+    dtype = jnp.result_type(*(x for x in jax.tree.leaves(params)))
+    dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
+    first, second = jax.random.split(key)
+    drawn = trajectories.random_motion(first, robot, fastest=fastest)
+    free = np.array(robot.topology.free)
+
+    def motion(time: Array) -> Array:
+        return expand(robot, trajectories.configuration(drawn, time)[free])
+
+    stacked, found = imus_on.record_all(
+        robot, motion, names, key=second, duration=steps / rate_hz, rate_hz=rate_hz, sensor=sensor,
+        mounting=jnp.asarray(params.mounting),
+    )  # fmt: skip
+    q = jax.vmap(motion)(found.time)
+    cast = jax.tree.map(lambda x: x.astype(dtype) if jnp.issubdtype(x.dtype, jnp.floating) else x, stacked)
+    there = cast if magnetic else cast._replace(magnetometer=None)
+    return there, Truth(q.astype(dtype), found.truth.quaternion.astype(dtype))
+
+
+__all__ = ["Info", "Params", "State", "Truth", "build", "simulate"]
