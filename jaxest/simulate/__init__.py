@@ -5,6 +5,6 @@ meanwhile, with the truth beside it, `deflection.simulate` what
 encoders, IMUs and markers on a robot say that bends.
 """
 
-from jaxest.simulate import deflection, imu, trajectories
+from jaxest.simulate import deflection, grasp, imu, trajectories
 
-__all__ = ["deflection", "imu", "trajectories"]
+__all__ = ["deflection", "grasp", "imu", "trajectories"]
