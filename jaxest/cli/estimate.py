@@ -29,13 +29,14 @@ EXAMPLES = (
     "jaxest estimate log.csv -m orientation -c config.toml --start 10 --end 60 --force",
     "jaxest estimate log.npz -m deflection --robot arm.urdf --config sensors.toml",
     "jaxest estimate shaken.npz -m onsite --config imus.toml",
+    "jaxest estimate hand.npz -m posture --robot hand.xml --config imus.toml",
 )
 
 
 @command
 def run(
     log: Annotated[Path, typer.Argument(help="Log to read: NPZ or CSV, in jaxest's layout or anybody's.")],
-    method: Annotated[str, typer.Option("--method", "-m", help="What to estimate: orientation, deflection, onsite.")],
+    method: Annotated[str, typer.Option("--method", "-m", help="What to estimate: orientation, deflection, onsite, posture.")],
     robot: Annotated[
         Path | None, typer.Option("--robot", "-r", help="Robot (MJCF, URDF), for methods that need one.")
     ] = None,

@@ -16,6 +16,7 @@ METHODS = {
     "orientation": "jaxest.cli.methods.orientation",
     "deflection": "jaxest.cli.methods.deflection",
     "onsite": "jaxest.cli.methods.onsite",
+    "posture": "jaxest.cli.methods.posture",
 }
 """Name of a method, and the module that holds it."""
 
