@@ -10,8 +10,8 @@ import numpy as np
 
 from jaxest.kinematics.forward import configuration, forward
 from jaxest.kinematics.jacobian import jacobian
-from jaxest.kinematics.movement import moved, movers, room, scalars, scattered, spot, spread
-from jaxest.kinematics.robot import Robot, expand, frame
+from jaxest.kinematics.movement import coupled, moved, movers, room, scalars, scattered, spot, spread
+from jaxest.kinematics.robot import Robot, frame
 from jaxest.manifolds import quaternion
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike
 
@@ -200,8 +200,7 @@ class _Problem(NamedTuple):
     def inside(self, q: Array) -> Array:
         """Move a configuration into the limits, and coupled joints to where their leaders put them."""
         q = jnp.clip(q, *jnp.asarray(self.robot.limits, q.dtype).T)
-        free = self.robot.topology.free
-        return expand(self.robot, q[np.array(free)]) if len(free) < self.robot.nq else q
+        return coupled(self.robot, q)
 
     def start(self, q: Array) -> _State:
         """Return the state of a solver that stands at q."""

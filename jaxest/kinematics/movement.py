@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.kinematics.fold import carriers
-from jaxest.kinematics.robot import BALL, FREE, HINGE, NV, SLIDE, Robot, Topology
+from jaxest.kinematics.robot import BALL, FREE, HINGE, NV, SLIDE, Robot, Topology, expand
 from jaxest.manifolds import quaternion
 from jaxest.types import Array
 
@@ -89,6 +89,12 @@ def room(robot: Robot, movers: tuple[int, ...], q: Array) -> tuple[Array, Array]
         else:
             low, high = [*low, limits[at : at + 1, 0] - q[at]], [*high, limits[at : at + 1, 1] - q[at]]
     return jnp.concatenate(low), jnp.concatenate(high)
+
+
+def coupled(robot: Robot, q: Array) -> Array:
+    """Return a configuration with the coupled joints where their leaders put them."""
+    free = robot.topology.free
+    return expand(robot, q[np.array(free)]) if len(free) < robot.nq else q
 
 
 def moved(robot: Robot, q: Array, v: Array) -> Array:

@@ -12,7 +12,7 @@ from jaxest.kinematics.coordinates import Links
 from jaxest.kinematics.fold import carriers, fold
 from jaxest.kinematics.forward import configuration, links, place_frames, selection
 from jaxest.kinematics.jacobian import velocity_axes
-from jaxest.kinematics.movement import moved, movers, spread
+from jaxest.kinematics.movement import coupled, moved, movers, spread
 from jaxest.kinematics.plan import Plan, plan
 from jaxest.kinematics.poses import joint_poses
 from jaxest.kinematics.robot import Robot
@@ -195,7 +195,8 @@ def fit_orientations(
         raise ValueError(f"observed: shapes {seen.shape} and {weight.shape}, expected ({m}, 4) and ({m}, 3, 3)")
     sound = jnp.all(jnp.isfinite(seen)) & jnp.all(jnp.isfinite(weight)) & jnp.all(jnp.isfinite(start))
     start = jnp.where(sound, start, jnp.asarray(robot.home, dtype))
-    seen, weight = (jnp.where(sound, x, jnp.zeros_like(x).at[..., 0].set(1)) for x in (seen, weight))
+    seen = jnp.where(sound, seen, jnp.zeros_like(seen).at[:, 0].set(1))
+    weight = jnp.where(sound, weight, 0)
     names = tuple(
         robot.frame_names[i] for i in selection(robot, [*frames, *[f for f in references or () if f is not None]])
     )
@@ -209,7 +210,8 @@ def fit_orientations(
         hessian = _sum(design, weight, design) + scale * jnp.eye(design.shape[2], dtype=dtype)
         pull = _sum(design, weight, error[:, :, None])[:, 0] - scale * gone
         move = jnp.clip(_solve(hessian, pull[:, None])[:, 0], -REACH, REACH)
-        return (moved(robot, q, spread(robot, moving, q) @ move), gone + move), jnp.max(jnp.abs(move), initial=0)
+        q = coupled(robot, moved(robot, q, spread(robot, moving, q) @ move))
+        return (q, gone + move), jnp.max(jnp.abs(move), initial=0)
 
     nothing = jnp.zeros(spread(robot, moving, start).shape[1], dtype)
     (q, _), moves = jax.lax.scan(step, (start, nothing), None, length=iterations)
