@@ -3,12 +3,12 @@
 Start with `imu_static.calibrate` (a rest found by itself: gyro bias and noise), then `ellipsoid.fit` on slow turns
 (accelerometer or magnetometer: scale, skew of the axes, bias), `alignment.align` for what that leaves open; `imu` does
 all of it, applies it and keeps it in a file. `clock.offset` is for two IMUs on one link, `mounting` finds the axes of
-joints and how sensors sit on their links. Each says how well it knows, and refuses where the recording does
+joints and how sensors sit on their links, `circle` fits one to points. Each says how well it knows, and refuses where the recording does
 not tell.
 
 Not here: estimators that find such things along with the motion (`jaxest.filters`, `jaxest.systems`).
 """
 
-from jaxest.calibration import alignment, clock, ellipsoid, imu, imu_static, mounting
+from jaxest.calibration import alignment, circle, clock, ellipsoid, imu, imu_static, mounting
 
-__all__ = ["alignment", "clock", "ellipsoid", "imu", "imu_static", "mounting"]
+__all__ = ["alignment", "circle", "clock", "ellipsoid", "imu", "imu_static", "mounting"]
