@@ -17,9 +17,13 @@ from typing import NamedTuple
 from jaxest.io.report import Row
 from jaxest.types import InputError, unknown_name
 
-PAPERS = {"sato2023": "jaxest.reproduce.sato2023", "sato2024": "jaxest.reproduce.sato2024"}
+PAPERS = {
+    "sato2023": "jaxest.reproduce.sato2023",
+    "sato2024": "jaxest.reproduce.sato2024",
+    "santaera2015": "jaxest.reproduce.santaera2015",
+}
 """Name of a paper whose figures can be computed, and the module that holds them."""
-COMING = ("iwao2025", "zakeri2023", "santaera2015")
+COMING = ("iwao2025", "zakeri2023")
 
 
 class Choice(NamedTuple):

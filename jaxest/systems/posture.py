@@ -21,7 +21,7 @@ import numpy as np
 from jaxest.filters import attitude
 from jaxest.filters.complementary import Imu
 from jaxest.kinematics import Robot, expand, frame
-from jaxest.kinematics.movement import moved, movers, room, spread
+from jaxest.kinematics.movement import coupled, moved, movers, room, spread
 from jaxest.kinematics.orientations import REACH, UNKNOWN, errors, rotations
 from jaxest.manifolds import quaternion as quat
 from jaxest.simulate import imu as imus_on
@@ -239,7 +239,7 @@ def _solved(
         across = spread(robot, moving, q)
         fused = fuse(slope @ across, noise, error, covariance, prior, gone, share)
         move = jnp.clip(fused.move, *_room(robot, moving, q))
-        q = moved(robot, q, across @ move)
+        q = coupled(robot, moved(robot, q, across @ move))
         return (q, heading + fused.heading_move, gone + move, fused.heading_covariance), (fused, error)
 
     shares = jnp.concatenate([jnp.zeros(iterations - 1, share.dtype), share[None]])

@@ -114,7 +114,7 @@ def _field(place: str, item: Stream) -> None:
     norm = np.linalg.norm(value[np.isfinite(value).all(axis=1)], axis=1)
     if len(norm) and norm.std() > SPREAD * norm.mean():
         raise InputError(
-            f"{place}: its norm scatters by {100 * norm.std() / norm.mean():.0f} %, expected at most {100 * SPREAD:.0f}; "
+            f"{place}: its norm scatters by {100 * norm.std() / norm.mean():.0f} %, expected up to {100 * SPREAD:.0f}; "
             "calibrate it (jaxest.calibration.ellipsoid) or set magnetometer = false"
         )
 

@@ -1,0 +1,53 @@
+"""Joint angles of the gripper in free motion, with and without magnetometers, and what cannot be observed."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxest.filters import run
+from jaxest.io.report import Row
+from jaxest.reproduce import Choice, Say, Section
+from jaxest.reproduce.santaera2015 import hand
+from jaxest.simulate import grasp
+from jaxest.systems import posture
+
+RUNS = 5
+SECONDS, RATE_HZ, SETTLING = 30.0, 200.0, 5.0
+
+
+def angles(choice: Choice, say: Say) -> Section:
+    """Move the fingers and estimate all joints from the links' orientations, run by run.
+
+    The palm stands still, as in the paper, so that its yaw shows what a missing heading means.
+    """
+    count = choice.runs or (1 if choice.small else RUNS)
+    seconds = 8.0 if choice.small else SECONDS
+    rows: list[Row] = []
+    for magnetic, name in ((True, "with magnetometers"), (False, "without, headings unknown")):
+        system = posture.build(hand.robot(), grasp.SITES, magnetic=magnetic)
+        params = jax.tree.map(np.float32, system.default_params)
+        draw = jax.jit(lambda key, s=system, p=params: s.simulate(p, key=key, steps=int(seconds * RATE_HZ),
+                                                                  rate_hz=RATE_HZ))  # fmt: skip
+        errors, known = [], None
+        for k in range(count):
+            say(f"angles: {name}, run {k + 1} of {count}")
+            measurements, truth = draw(jax.random.key(choice.seed + k))
+            _, info = run(system.step, params, system.init(params), measurements)
+            found, true = (hand.finger_angles(np.asarray(q)) for q in (info.q, truth.q))
+            errors.append(np.rad2deg(found - true)[int(SETTLING * RATE_HZ) :])
+            known = np.asarray(info.known[-1])
+        rows += _rows(name, errors, known)
+    return Section("angles", "joint angles of the gripper in free motion", rows)
+
+
+def _rows(name: str, errors: list[Any], known: Any) -> list[Row]:
+    size = np.sqrt(np.mean(np.square(errors), axis=1))  # (runs, 6)
+    rows = [Row("finger angles, RMSE", name, float(np.sqrt(np.mean(size**2))), "deg", float(size.std()), len(errors))]
+    rows.append(Row("finger angles, worst joint and run", name, float(size.max()), "deg", n=len(errors)))
+    for k, axis in enumerate(("roll", "pitch", "yaw")):
+        rows.append(Row("share of the variance taken away", f"palm's {axis}, {name}", 100 * float(known[k]), "%"))
+    return rows
+
+
+__all__ = ["angles"]

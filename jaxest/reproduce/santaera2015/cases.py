@@ -1,0 +1,129 @@
+"""Figs. 5 to 8: the gripper at rest, closing on nothing, with a phalanx pushed, and with its palm turned."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxest.filters import complementary, every, run
+from jaxest.io.report import Row
+from jaxest.kinematics import roll_pitch_yaw
+from jaxest.manifolds import quaternion as quat
+from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce.santaera2015 import hand
+from jaxest.reproduce.santaera2015.table import draw_gripper
+from jaxest.simulate import grasp
+from jaxest.types import Reading
+
+SCENES = {
+    "rest (fig. 5)": grasp.Scene(tension=0.0),
+    "free closing (fig. 6)": grasp.Scene(tension=0.5),
+    "pushed phalanx (fig. 7)": grasp.Scene(tension=0.3, push=(0.0, 0.6, 0.0)),
+    "palm rolled and pitched (fig. 8)": grasp.Scene(tension=0.3, turn=(0.5, 0.35, 0.0)),
+}
+RUNS = 10
+
+
+def cases(choice: Choice, say: Say) -> Section:
+    """Follow the gripper through the paper's cases by pairs of 6-axis IMUs.
+
+    The joint angles come from all edges; the redundant pair's q1 + q2 is compared with the sum of the two.
+
+    Source: Santaera 2015, figs. 5 to 8, section V.
+    """
+    count = choice.runs or (1 if choice.small else RUNS)
+    rows: list[Row] = []
+    shown: dict[str, Any] = {}
+    for name, scene in SCENES.items():
+        say(f"cases: {name}")
+        trials = [hand.trial(scene, choice.seed + 1000 + k) for k in range(count)]
+        errors, found = angle_errors(trials)
+        apart = np.rad2deg([np.asarray(redundancy(rotations)) for rotations in found[0]])
+        each = np.sqrt(np.mean(errors**2, axis=(1, 2)))
+        rows += [
+            Row("finger angles, RMSE", name, float(each.mean()), "deg", float(each.std()), count),
+            Row("finger angles, largest error", name, float(np.abs(errors).max()), "deg", n=count),
+            Row("q* against q1 + q2, rms", name, float(np.sqrt(np.mean(apart**2))), "deg", n=count),
+        ]
+        shown[name] = trials[0], found[1][0]
+    say("cases: roll and pitch of the palm")
+    rows += _palm(
+        [hand.trial(SCENES["palm rolled and pitched (fig. 8)"], choice.seed + 2000 + k) for k in range(count)]
+    )
+
+    def draw(path: Path) -> None:
+        canvas.save(path, (12, 5.5), lambda figure: _paint(figure, shown), "Figs. 5 to 8: estimate and truth")
+
+    return Section("cases", "Figs. 5 to 8: the gripper's cases", rows, draw)
+
+
+def angle_errors(trials: list[hand.Trial], *, magnetic: bool = False) -> tuple[NDArray[np.float64], Any]:
+    """Return errors of the six finger angles (trials, T, 6), deg, and the edges' rotations and joints, every 20 ms."""
+    info = hand.pairs(trials, every(20), magnetic=magnetic)
+    rotations = np.asarray(info.value.quaternion)
+    flat = rotations.reshape(-1, *rotations.shape[2:])
+    mountings = np.repeat(np.stack([t.mounting for t in trials]), rotations.shape[1], axis=0)
+    q = np.asarray(hand.joints(flat, mountings).q, np.float64).reshape(*rotations.shape[:2], -1)
+    truth = np.stack([t.found.q[19::20][: rotations.shape[1]] for t in trials])
+    return np.rad2deg(hand.finger_angles(q) - hand.finger_angles(truth)), (rotations, q)
+
+
+@jax.jit
+def redundancy(rotations: Any) -> Any:
+    """Return the angle between the rotation of IMU 1 and 3 and that by way of IMU 2, rad: (T, 8, 4) to (T, 2)."""
+
+    def one(r: Any) -> Any:
+        around = [quat.local(quat.compose(r[a], r[b]), r[c]) for a, b, c in ((1, 2, 3), (5, 6, 7))]
+        return jnp.stack([jnp.sqrt(jnp.sum(v * v)) for v in around])
+
+    return jax.vmap(one)(rotations)
+
+
+def _palm(trials: list[hand.Trial]) -> list[Row]:
+    """Roll and pitch of the palm from IMU 7 alone, by the complementary filter; its yaw cannot be known."""
+    errors = []
+    for trial in trials:
+        used = trial.measurements._replace(magnetometer=None)
+        gyro, acc = (Reading(*(x[:, 6] for x in reading)) for reading in (used.gyroscope, used.accelerometer))
+        one = used._replace(gyroscope=gyro, accelerometer=acc)
+        gains = complementary.Params(*(np.float32(x) for x in (1.0, 0.01, 1.0, 1.0)))
+        _, info = run(complementary.step, gains, complementary.init(gains), one)
+        mounted = jnp.asarray(trial.mounting[6], jnp.float32)
+        found = jax.vmap(lambda q, m=mounted: quat.compose(q, quat.inverse(m)))(info.quaternion)
+        truth = jnp.asarray(trial.found.quaternion[:, 6], jnp.float32)  # the site is parallel to the palm
+        angles = [np.stack(jax.vmap(roll_pitch_yaw)(q)[:2], axis=1) for q in (found, truth)]
+        errors.append(np.rad2deg(angles[0] - angles[1]))
+    both = np.sqrt(np.mean(np.square(errors), axis=1))
+    where = "fig. 8, IMU 7 alone"
+    return [
+        Row(f"{part} of the palm, RMSE", where, float(size.mean()), "deg", float(size.std()), len(trials))
+        for part, size in zip(("roll", "pitch"), both.T, strict=True)
+    ]
+
+
+def _paint(figure: Any, shown: dict[str, Any]) -> None:
+    axes = figure.subplots(2, len(shown), height_ratios=(2, 1))
+    for column, (name, (trial, q)) in enumerate(shown.items()):
+        true = trial.found.q[-1].copy()
+        estimated = np.array(q[-1])
+        estimated[:4] = true[:4] = (1, 0, 0, 0)
+        top = axes[0, column]
+        draw_gripper(top, true, canvas.RED)
+        draw_gripper(top, estimated, canvas.BLUE)
+        canvas.plain(top, title=name, xlabel="across [mm]")
+        top.set_aspect("equal")
+        time = trial.found.time[19::20][: len(q)]
+        found, truth = (np.rad2deg(hand.finger_angles(x)) for x in (q, trial.found.q[19::20][: len(q)]))
+        bottom = axes[1, column]
+        for joint in range(3):
+            bottom.plot(time, truth[:, joint], color=canvas.RED, linewidth=2)
+            bottom.plot(time, found[:, joint], color=canvas.BLUE, linewidth=0.9)
+        canvas.plain(bottom, xlabel="time [s]")
+    axes[0, 0].set_ylabel("above the palm [mm]")
+    axes[1, 0].set_ylabel("q1, q2, q3 left [deg]")
+
+
+__all__ = ["angle_errors", "cases", "redundancy"]
