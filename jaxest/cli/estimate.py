@@ -63,6 +63,7 @@ def run(
     from jaxest.cli.window import windowed
     from jaxest.io import read, write
     from jaxest.io.files import existing, replacing
+    from jaxest.io.inspect import doubtful_units
     from jaxest.io.report import Row, report, to_json
 
     if method not in methods.METHODS:
@@ -74,6 +75,8 @@ def run(
     whole = read(log, chosen.columns)
     if whole.notes:
         note(f"{log.name}: {'; '.join(whole.notes)}")
+    for doubt in doubtful_units(whole):
+        warn(f"{log.name}: {doubt}")
     kinds = tuple(part.strip() for part in sensors.split(",") if part.strip()) if sensors else None
     request = methods.Request(chosen.method(method), kinds, chosen.nan, robot)
     begun = time.perf_counter()

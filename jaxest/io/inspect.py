@@ -194,6 +194,19 @@ def _clocks(skew: Skew, streams: dict[str, StreamSummary]) -> list[str]:
     return []
 
 
+def doubtful_units(log: SensorLog) -> list[str]:
+    """Return warnings about streams whose values do not fit their units, such as accelerations near 1.
+
+    Args:
+        log: the log.
+
+    Returns:
+        A line each.
+    """
+    return [line for name, item in log.streams.items() if item.value.dtype.kind == "f"
+            for line in _units(log, name, item)]  # fmt: skip
+
+
 def _units(log: SensorLog, name: str, item: Stream) -> list[str]:
     """Return warnings about values that do not fit the stream's unit."""
     kind = units.kind_of(name)

@@ -126,6 +126,18 @@ def test_own_layout_in_other_units(invoke, tmp_path):
     assert worst_deg(item.value, orientation(item.time)) < 0.3
 
 
+def test_values_that_do_not_fit_their_unit_are_said(invoke, tmp_path):
+    log = turning()
+    item = log.streams["accelerometer"]._replace(value=log.streams["accelerometer"].value / 9.81)
+    write(log._replace(streams={**log.streams, "accelerometer": item}), tmp_path / "a.npz")
+    result = invoke("estimate", "a.npz", *ESTIMATE)
+    assert "a.npz: accelerometer: median norm 1" in result.stderr
+    assert "is it in g?" in result.stderr
+    item = item._replace(unit="g")
+    write(log._replace(streams={**log.streams, "accelerometer": item}), tmp_path / "b.npz")
+    assert "is it in g?" not in invoke("estimate", "b.npz", *ESTIMATE, "--force").stderr
+
+
 def test_sensors_of_other_rates_and_stamps(invoke, tmp_path):
     fast, slow = turning(400, 200.0), turning(40, 20.0)
     late = turning(80, 40.0).streams["accelerometer"]
