@@ -252,7 +252,9 @@ def samples(imus: Sequence[tuple[Imu, Imu]]) -> tuple[NDArray[np.float64], Sampl
     clock = every[0].time
     time = clock[(clock >= low) & (clock <= high)]
     if len(time) < 2:
-        raise InputError("the recordings of the IMUs do not overlap")
+        raise InputError(
+            f"the recordings of the IMUs do not overlap: the last begins at {low:.3f} s, one ends at {high:.3f} s"
+        )
     found = [brought(imu, time) for imu in every]
     value = np.stack([v for v, _ in found], axis=1).reshape(len(time), len(imus), 2, 6)
     valid = np.stack([there for _, there in found], axis=1).reshape(len(time), len(imus), 2)
