@@ -36,7 +36,10 @@ EXAMPLES = (
 @command
 def run(
     log: Annotated[Path, typer.Argument(help="Log to read: NPZ or CSV, in jaxest's layout or anybody's.")],
-    method: Annotated[str, typer.Option("--method", "-m", help="What to estimate: orientation, deflection, onsite, posture.")],
+    method: Annotated[
+        str,
+        typer.Option("--method", "-m", help="What to estimate: orientation, deflection, onsite, posture, torque."),
+    ],
     robot: Annotated[
         Path | None, typer.Option("--robot", "-r", help="Robot (MJCF, URDF), for methods that need one.")
     ] = None,

@@ -17,6 +17,7 @@ METHODS = {
     "deflection": "jaxest.cli.methods.deflection",
     "onsite": "jaxest.cli.methods.onsite",
     "posture": "jaxest.cli.methods.posture",
+    "torque": "jaxest.cli.methods.torque",
 }
 """Name of a method, and the module that holds it."""
 

@@ -1,0 +1,114 @@
+"""A log's joint angles as the series of the torque estimator: chosen columns, even steps, priors from the data."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxest.io import SensorLog, Stream
+from jaxest.io.log import stream, where
+from jaxest.types import InputError, unknown_name
+
+ANGLES = ("joint_position", "joints", "positions", "q")
+MOST = 20000
+
+
+class Series(NamedTuple):
+    """What is estimated from, T rows."""
+
+    time: NDArray[np.float64]
+    """(T,) s; rows that bridge gaps among them."""
+    angles: NDArray[np.float64]
+    """(T, n) rad, 0 where missing."""
+    valid: NDArray[np.bool_]
+    """(T, n)"""
+    feedforward: NDArray[np.float64]
+    """(T, n) N m, of the step that ends at each row."""
+    logged: NDArray[np.float64] | None
+    """(T, n) N m, the log's own torque."""
+    notes: list[str]
+
+
+def series(log: SensorLog, settings: Mapping[str, Any], joints: tuple[str, ...], nan: str) -> Series:
+    """Take a log's angles, and the torques that it knows.
+
+    Args:
+        log: the log, in SI units.
+        settings: the config's table `[torque]`.
+        joints: names of the robot's joints, for streams that name their columns.
+        nan: `error`, or `missing`.
+
+    Returns:
+        The series.
+
+    Raises:
+        InputError: no such stream, columns that are not the robot's joints, NaN where it is an error.
+    """
+    name = settings.get("angles") or next((one for one in ANGLES if one in log.streams), None)
+    if name is None:
+        raise InputError(
+            f'{where(log)}no stream of joint angles among {", ".join(log.streams)}; name it: [torque] angles = "..."'
+        )
+    item = stream(log, name)
+    every = settings.get("every", 1)
+    if every < 1:
+        raise InputError(f"[torque] every: got {every}, expected at least 1")
+    time = np.asarray(item.time, float)[::every]
+    value = _columns(log, name, item, joints)[::every]
+    missing = ~np.isfinite(value)
+    if missing.any() and nan == "error":
+        row, column = np.argwhere(missing)[0]
+        raise InputError(f'{where(log)}stream {name!r}: row {row * every}, column {column} is NaN; nan = "missing" in '
+                         "the config integrates over it")  # fmt: skip
+    if len(time) < 8:
+        raise InputError(f"{where(log)}stream {name!r}: {len(time)} samples, expected at least 8")
+    time, value, bridged = _even(time, value)
+    if len(time) > MOST:
+        raise InputError(f"{where(log)}stream {name!r}: {len(time)} steps, expected at most {MOST}; take --start and "
+                         "--end, or [torque] every")  # fmt: skip
+    known = _torque(log, settings, "feedforward", time, joints)
+    valid = np.isfinite(value)
+    notes = [f"{len(time)} steps of {name}"] + ([f"{bridged} steps bridge gaps"] if bridged else [])
+    return Series(time, np.where(valid, value, 0), valid, np.zeros_like(value) if known is None else known,
+                  _torque(log, settings, "compare", time, joints), notes)  # fmt: skip
+
+
+def _columns(log: SensorLog, name: str, item: Stream, joints: tuple[str, ...]) -> NDArray[np.float64]:
+    value = np.asarray(item.value, float)
+    value = value.reshape(len(value), -1)
+    if item.names and set(joints) <= set(item.names):
+        return value[:, [item.names.index(joint) for joint in joints]]
+    if value.shape[1] != len(joints):
+        raise InputError(f"{where(log)}stream {name!r}: {value.shape[1]} columns, expected {len(joints)}, the robot's "
+                         f"joints {', '.join(joints)}")  # fmt: skip
+    return value
+
+
+def _even(time: NDArray[np.float64], value: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any], int]:
+    """Put rows without measurement into gaps, so that no Euler step is much longer than the others."""
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    more = np.maximum(np.round(steps / usual).astype(int) - 1, 0)
+    if not more.any() or more.sum() > 10 * len(time):
+        return time, value, 0
+    times, values = [time[:1]], [value[:1]]
+    for k, extra in enumerate(more):
+        times.append(np.linspace(time[k], time[k + 1], extra + 2)[1:])
+        values.append(np.concatenate([np.full((extra, value.shape[1]), np.nan), value[k + 1 : k + 2]]))
+    return np.concatenate(times), np.concatenate(values), int(more.sum())
+
+
+def _torque(
+    log: SensorLog, settings: Mapping[str, Any], key: str, time: NDArray[np.float64], joints: tuple[str, ...]
+) -> NDArray[np.float64] | None:
+    if key not in settings:
+        return None
+    name = settings[key]
+    if name not in log.streams:
+        raise unknown_name(f"[torque] {key}: stream", name, log.streams)
+    item = stream(log, name)
+    value = _columns(log, name, item, joints)
+    good = np.isfinite(value).all(axis=1)
+    columns = [np.interp(time, np.asarray(item.time)[good], value[good, j]) for j in range(len(joints))]
+    return np.stack(columns, axis=1)

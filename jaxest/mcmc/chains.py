@@ -1,0 +1,214 @@
+"""Many chains at once, from dispersed starts, and their warm-up."""
+
+from functools import cache, partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
+from jax.sharding import Mesh
+
+from jaxest.filters.run import full, run
+from jaxest.mcmc.kernel import Info, Kernel, Params, State, Tuning, collapsed, coordinates, draw_theta
+from jaxest.mcmc.model import Data, Linear, Model, Prior, Unknown, normals
+from jaxest.mcmc.twist import backward, collapse, draw, fit_path, flow
+from jaxest.parallel import shards
+from jaxest.types import Array, PyTree
+
+_SHRINK = 20.0  # draws that a diagonal covariance counts for when the warm-up fits one
+_STRIDE = 0.8
+
+
+class Chains(NamedTuple):
+    """States of all chains."""
+
+    chain: State
+    """Leaves (C, ...)."""
+    key: Array
+    """(C,) keys, one a chain."""
+    index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
+    """() int32, iterations done."""
+
+
+@cache
+def step(kernel: Kernel) -> Any:
+    """Make a kernel a step of `filters.run` over all chains.
+
+    Args:
+        kernel: `(params, data, state, *, key) -> (state, info)`; the same object for the same program.
+
+    Returns:
+        A step whose parameters are `(params, data)`, whose state is a `Chains`, and whose measurement is ignored.
+    """
+    return partial(_step, kernel)
+
+
+def _step(kernel: Kernel, both: Any, chains: Chains, _: PyTree, *, key: Array | None = None) -> tuple[Chains, Info]:
+    del key  # each chain has its own
+    params, data = both
+
+    def one(state: State, key: Array) -> tuple[State, Info]:
+        return kernel(params, data, state, key=key)
+
+    states, info = jax.vmap(one)(chains.chain, chains.key)
+    return Chains(states, chains.key, chains.index + 1), info
+
+
+def advance(kernel: Kernel, params: Params, data: Data, chains: Chains, iterations: int, history: Any = full) -> Any:
+    """Run all chains for some iterations.
+
+    Args:
+        kernel: the sampler.
+        params: parameters.
+        data: the series.
+        chains: where they are; the same call starts, resumes, and runs in pieces that give the same draws.
+        iterations: how many; static.
+        history: as in `filters.run`.
+
+    Returns:
+        The chains, and the history: leaves (iterations, C, ...).
+    """
+    return run(step(kernel), (params, data), chains, jnp.arange(iterations), history=history)
+
+
+def spread(
+    kernel: Kernel, params: Params, data: Data, chains: Chains, iterations: int, over: Mesh | None = None
+) -> tuple[Chains, Info]:
+    """Run chains as `advance` does, each device a share of them.
+
+    Args:
+        kernel: the sampler.
+        params: parameters.
+        data: the series.
+        chains: where they are.
+        iterations: how many.
+        over: the devices, as `parallel.mesh` lines them up; all of all processes if None.
+
+    Returns:
+        As `advance`; the leaves live spread over the devices, `parallel.gather` brings them to every host.
+    """
+
+    def one(state: State, key: Array) -> tuple[State, Info]:
+        alone = Chains(jax.tree.map(lambda x: x[None], state), key[None], chains.index)
+        after, info = advance(kernel, params, data, alone, iterations)
+        return jax.tree.map(lambda x: x[0], after.chain), jax.tree.map(lambda x: x[:, 0], info)
+
+    states, info = shards(one, over)(chains.chain, chains.key)
+    after = Chains(states, chains.key, chains.index + iterations)
+    return after, jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), info)
+
+
+def init(key: Array, states: State) -> Chains:
+    """Return chains at given states, leaves (C, ...), each with a key of its own."""
+    count = states.index.shape[0]
+    return Chains(states, jax.random.split(key, count), jnp.zeros((), jnp.int32))
+
+
+@partial(jax.jit, static_argnums=0, static_argnames="count")
+def dispersed(
+    model: Model, prior: Prior, data: Data, linear: Linear, *, key: Array, count: int, spread: Array | float = 1.5
+) -> State:
+    """Return starts that lie far apart: variances within a factor exp(3) or so, paths and theta that follow them.
+
+    Args:
+        model: the model.
+        prior: the variances start around its mode.
+        data: the series.
+        linear: what the paths follow from.
+        key: random key.
+        count: C, chains; static.
+        spread: standard deviation of the log variances, and share of noise that the paths are given besides.
+
+    Returns:
+        States (C, ...); each path is drawn given its own variances and then roughened by as much again.
+    """
+
+    def one(key: Array) -> State:
+        keys = jax.random.split(key, 4)
+        mode = prior.beta / (prior.alpha + 1)
+        variances = mode * jnp.exp(spread * normals(keys[0], *mode.shape))
+        twist = backward(model, prior, data, linear, variances)
+        given = collapse(prior, linear, twist)
+        theta = given.mean + 3 * spread * (draw_theta(keys[1], given) - given.mean)
+        theta = jnp.clip(theta, prior.low, prior.high)
+        numbers = (1 + spread) * normals(keys[2], 1, *linear.path.shape)
+        path = draw(flow(twist, linear, theta), linear, numbers)[0]
+        minus = jnp.full((), -jnp.inf, mode.dtype)
+        return State(path, Unknown(theta, variances), minus, jnp.zeros((), jnp.int32))
+
+    return jax.vmap(one)(jax.random.split(key, count))
+
+
+def untuned(model: Model, params: PyTree, prior: Prior, data: Data, path: Array, theta: Array) -> Tuning:
+    """Linearise along the most probable path; the proposals' density is still a guess from the prior.
+
+    Args:
+        model: the model.
+        params: its parameters.
+        prior: the prior.
+        data: the series.
+        path: (T, n) from which the path is sought.
+        theta: (p,) likewise.
+
+    Returns:
+        Tuning for `warm_up`.
+    """
+    first = Unknown(theta, prior.beta / (prior.alpha + 1))
+    linear = fit_path(model, params, prior, data, first, path)
+    centre = coordinates(first.variances)
+    return _tuning(model, prior, data, linear, centre, jnp.diag(0.1 * centre))
+
+
+@partial(jax.jit, static_argnums=0)
+def _tuning(model: Model, prior: Prior, data: Data, linear: Linear, centre: Array, root: Array) -> Tuning:
+    twist = backward(model, prior, data, linear, centre**-3)
+    factor = collapse(prior, linear, twist).root
+    eye = jnp.eye(factor.shape[0], dtype=centre.dtype)
+    theta_root = solve_triangular(factor, eye, lower=True, trans=1) if len(factor) else factor
+    return Tuning(linear, centre, root, jnp.full((), _STRIDE, centre.dtype), theta_root)
+
+
+def warm_up(
+    model: Model, params: Params, data: Data, *, key: Array, count: int = 4, iterations: int = 200, rounds: int = 2
+) -> tuple[Params, Chains, Info]:
+    """Find the tuning: Gibbs chains of the linear model from dispersed starts, linearised anew after each round.
+
+    Args:
+        model: the model.
+        params: parameters, tuned as `untuned` does.
+        data: the series.
+        key: random key.
+        count: chains; static.
+        iterations: of each round, of which the first third is not looked at; static.
+        rounds: how often; static.
+
+    Returns:
+        Parameters with the tuning found, the chains' last states, and their history in the last round.
+    """
+    kernel = collapsed(model)
+    keys = jax.random.split(key, rounds + 1)
+    states = dispersed(model, params.prior, data, params.tuning.linear, key=keys[-1], count=count)
+    chains, history = init(keys[0], states), None
+    for i in range(rounds):
+        chains = init(keys[i], chains.chain)
+        chains, history = advance(kernel, params, data, chains, iterations)
+        params = params._replace(tuning=_refit(model, params, data, history, iterations // 3))
+    assert history is not None
+    return params, chains, history
+
+
+def _refit(model: Model, params: Params, data: Data, history: Info, discard: int) -> Tuning:
+    unknown = jax.tree.map(lambda x: x[discard:].reshape(-1, x.shape[-1]), history.unknown)
+    theta = jnp.clip(jnp.mean(unknown.theta, axis=0), params.prior.low, params.prior.high)
+    z = coordinates(unknown.variances)
+    centre = jnp.mean(z, axis=0)
+    away = z - centre[None]
+    draws = z.shape[0] / 10  # of the Gibbs sampler's draws, so many count as independent
+    covariance = away.T @ away / z.shape[0]
+    covariance = (draws * covariance + _SHRINK * jnp.diag(jnp.diagonal(covariance))) / (draws + _SHRINK)
+    first = Unknown(theta, centre**-3)
+    linear = fit_path(model, params.model, params.prior, data, first, params.tuning.linear.path, 4)
+    return _tuning(model, params.prior, data, linear, centre, jnp.linalg.cholesky(covariance))
+
+
+__all__ = ["Chains", "advance", "dispersed", "init", "spread", "step", "untuned", "warm_up"]

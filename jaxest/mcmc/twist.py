@@ -1,0 +1,271 @@
+"""The backward information filter of a linear model: what the data still to come say of each state.
+
+psi[t](x) = p(y[t], y[t+1], ... | x[t] = x, theta) of the linear model is kept as the matrix A of
+-(z' A z) / 2 with z = (x - path, 1, theta - centre), so that one pass serves every theta and gives the evidence as a
+quadratic in theta. A step eliminates the noise of a state by Cholesky factors, which also draw that state.
+
+Source: the twisting of particle filters, Whiteley and Lee 2014; the two-filter form, Briers, Doucet and Maskell 2010.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
+
+from jaxest.filters.kalman.gaussian import product
+from jaxest.mcmc.model import Data, Linear, Model, Prior, Unknown, linearize
+from jaxest.types import Array, PyTree
+
+
+class Twist(NamedTuple):
+    """Row t belongs to state t, k = n + 1 + p."""
+
+    root: Array
+    """(T, n, n) L, lower triangular: L L' is the precision of state t given the one before and all data from t on."""
+    inverse: Array
+    """(T, n, n) of L."""
+    link: Array
+    """(T, n, k) W = L^-1 A: `L' u + W z` is standard normal for the noise u of state t, z taken at its prediction."""
+    here: Array | None
+    """(T, k, k) A of psi[t], at state t; None where whole paths are drawn, which has no need of it."""
+    ahead: Array | None
+    """(T, k, k) A of psi[t] integrated over the noise of state t, at its prediction; or None."""
+    here_log: Array
+    """(T,) logarithm of psi[t] where z' A z is 0."""
+    ahead_log: Array
+    """(T,) likewise, of the integrated one."""
+    evidence: Array
+    """(1 + p, 1 + p) E: the log-evidence is `evidence_log - (1, theta - centre) E (1, theta - centre)' / 2`."""
+    evidence_log: Array
+    """()"""
+
+
+class Collapsed(NamedTuple):
+    """theta given the variances, in the linear model without the box: normal."""
+
+    mean: Array
+    """(p,)"""
+    root: Array
+    """(p, p) lower triangular root of the precision."""
+    log_evidence: Array
+    """() of the variances, theta integrated out (flat, without the box)."""
+
+
+def _rows(model: Model, linear: Linear, data: Data) -> Array:
+    """Rows (T, m, k) that z multiplies to give what is predicted minus what is measured."""
+    t, n = linear.path.shape
+    k = n + 1 + model.linear
+    at = jnp.asarray(model.observed)
+    rows = jnp.zeros((t, len(model.observed), k), linear.path.dtype)
+    rows = rows.at[:, jnp.arange(len(model.observed)), at].set(1)
+    return rows.at[:, :, n].set(linear.path[:, at] - data.value)
+
+
+def _noises(model: Model, prior: Prior, variances: Array, steps: int) -> Array:
+    """Variances (T, n) of each state's noise; that of the first is its prior's."""
+    process = jnp.broadcast_to(variances[None, : model.size], (steps - 1, model.size))
+    return jnp.concatenate([prior.variance[None], process])
+
+
+def _links(model: Model, linear: Linear) -> Array:
+    """Matrices (T, k, k) that take z of the state before to z of a state's prediction."""
+    t, n = linear.path.shape
+    p = model.linear
+    below = jnp.broadcast_to(jnp.eye(1 + p, n + 1 + p, n, dtype=linear.path.dtype)[None], (t, 1 + p, n + 1 + p))
+    top = jnp.concatenate([linear.jacobian, linear.offset[:, :, None], linear.design], axis=2)
+    return jnp.concatenate([top, below], axis=1)
+
+
+def _eliminate(a: Array, noise: Array) -> tuple[tuple[Array, Array, Array], Array, Array]:
+    """Integrate over a state's noise (n,): root, inverse and link, A at the prediction, and the log of the integral."""
+    n = noise.shape[0]
+    root = jnp.linalg.cholesky(a[:n, :n] + jnp.diag(1 / noise))
+    both = solve_triangular(root, jnp.concatenate([jnp.eye(n, dtype=a.dtype), a[:n]], axis=1), lower=True)
+    inverse, link = both[:, :n], both[:, n:]
+    log = -jnp.sum(jnp.log(noise)) / 2 - jnp.sum(jnp.log(jnp.diagonal(root)))
+    return (root, inverse, link), a - product(link.T, link), log
+
+
+def _measured(model: Model, linear: Linear, data: Data, variances: Array) -> tuple[Array, Array]:
+    """A (T, k, k) of each measurement alone, and the logarithm (T,)."""
+    rows = _rows(model, linear, data)
+    r = variances[None, model.size :]
+    weight = jnp.where(data.valid, 1 / r, 0)
+    log = -jnp.sum(jnp.where(data.valid, jnp.log(2 * jnp.pi * r), 0), axis=1) / 2
+    return jnp.einsum("tma,tm,tmb->tab", rows, weight, rows), log
+
+
+def backward(model: Model, prior: Prior, data: Data, linear: Linear, variances: Array, whole: bool = False) -> Twist:
+    """Run the backward information filter.
+
+    Args:
+        model: the model.
+        prior: for the first state.
+        data: the series.
+        linear: the linear model.
+        variances: (n + m,).
+        whole: whether to keep `here` and `ahead` too; static.
+
+    Returns:
+        What each state's proposal and the evidence need.
+    """
+    steps, n = linear.path.shape
+    measured, measured_log = _measured(model, linear, data, variances)
+    noise = _noises(model, prior, variances, steps)
+
+    def retreat(carry: tuple[Array, Array], now: Any) -> tuple[Any, Any]:
+        a, log = carry
+        of_data, of_data_log, noise, link = now
+        here, here_log = a + of_data, log + of_data_log
+        factors, ahead, gain = _eliminate(here, noise)
+        ahead_log = here_log + gain
+        kept = (here, ahead) if whole else (None, None)
+        return (product(product(link.T, ahead), link), ahead_log), (*factors, *kept, here_log, ahead_log)
+
+    k = n + 1 + model.linear
+    start = (jnp.zeros((k, k), linear.path.dtype), jnp.zeros((), linear.path.dtype))
+    xs = (measured, measured_log, noise, _links(model, linear))
+    (last, log), rows = jax.lax.scan(retreat, start, xs, reverse=True)
+    return Twist._make((*rows, last[n:, n:], log))
+
+
+def next_only(model: Model, prior: Prior, data: Data, linear: Linear, variances: Array) -> Twist:
+    """Look at the next measurement only, as fully adapted particles do; arguments as in `backward`, always whole."""
+    here, log = _measured(model, linear, data, variances)
+    return _apart(here, log, _noises(model, prior, variances, linear.path.shape[0]), model)
+
+
+def nothing(model: Model, prior: Prior, data: Data, linear: Linear, variances: Array) -> Twist:
+    """Look at no measurement to come, as bootstrap particles do; arguments as in `backward`, always whole."""
+    here, log = _measured(model, linear, data, variances)
+    noise = _noises(model, prior, variances, linear.path.shape[0])
+    return _apart(jnp.zeros_like(here), jnp.zeros_like(log), noise, model)
+
+
+def _apart(here: Array, log: Array, noise: Array, model: Model) -> Twist:
+    factors, ahead, gain = jax.vmap(_eliminate)(here, noise)
+    unknown = jnp.full((1 + model.linear, 1 + model.linear), jnp.nan, here.dtype)
+    return Twist(*factors, here, ahead, log, log + gain, unknown, unknown[0, 0])
+
+
+def log_evidence(twist: Twist, linear: Linear, theta: Array) -> Array:
+    """Return the linear model's log p(y | theta, variances) ()."""
+    z = jnp.concatenate([jnp.ones(1, theta.dtype), theta - linear.centre])
+    return twist.evidence_log - z @ twist.evidence @ z / 2
+
+
+def collapse(prior: Prior, linear: Linear, twist: Twist) -> Collapsed:
+    """Return theta given the variances, and the evidence without theta.
+
+    Args:
+        prior: a millionth of the information of a normal as wide as its box stands in for what the data leave open.
+        linear: the linear model.
+        twist: of the variances.
+
+    Returns:
+        The normal density; use it as a proposal, since it knows no box.
+    """
+    if not len(linear.centre):
+        return Collapsed(linear.centre, jnp.zeros((0, 0)), twist.evidence_log - twist.evidence[0, 0] / 2)
+    wide = jnp.where(jnp.isfinite(prior.high - prior.low), prior.high - prior.low, 1e6)
+    information = twist.evidence[1:, 1:] + jnp.diag(1e-6 / wide**2)
+    root = jnp.linalg.cholesky(information)
+    white = solve_triangular(root, -twist.evidence[1:, 0], lower=True)
+    mean = solve_triangular(root, white, lower=True, trans=1)
+    log = twist.evidence_log - twist.evidence[0, 0] / 2 + jnp.sum(white * white) / 2
+    log = log - jnp.sum(jnp.log(jnp.diagonal(root))) + len(white) * jnp.log(2 * jnp.pi) / 2
+    return Collapsed(linear.centre + mean, root, log)
+
+
+class Flow(NamedTuple):
+    """The linear model given the data, forward in time: x[t] = gain x[t-1] + offset + root standard normal."""
+
+    gain: Array
+    """(T, n, n)"""
+    offset: Array
+    """(T, n)"""
+    root: Array
+    """(T, n, n), inverse transposed of the twist's root."""
+
+
+def flow(twist: Twist, linear: Linear, theta: Array) -> Flow:
+    """Return how states follow each other given all data, in deviations from the linear model's path."""
+    n = linear.path.shape[1]
+    root = jnp.swapaxes(twist.inverse, 1, 2)
+    back = product(root, twist.link)
+    left = jnp.eye(n, dtype=theta.dtype)[None] - back[:, :, :n]
+    away = theta - linear.centre
+    shift = linear.offset + jnp.einsum("tip,p->ti", linear.design, away)
+    offset = jnp.einsum("tij,tj->ti", left, shift) - back[:, :, n] - jnp.einsum("tip,p->ti", back[:, :, n + 1 :], away)
+    return Flow(product(left, linear.jacobian), offset, root)
+
+
+def draw(given: Flow, linear: Linear, normal: Array) -> Array:
+    """Turn standard normal numbers (N, T, n) into paths (N, T, n) of the linear model given the data."""
+    noise = jnp.einsum("tij,Ntj->tNi", given.root, normal) + given.offset[:, None]
+
+    def advance(x: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        gain, noise = now
+        x = product(x, gain.T) + noise
+        return x, x
+
+    away = jax.lax.scan(advance, jnp.zeros_like(noise[0]), (given.gain, noise))[1]
+    return jnp.swapaxes(away, 0, 1) + linear.path[None]
+
+
+def whiten(twist: Twist, linear: Linear, theta: Array, path: Array) -> Array:
+    """Return the standard normal numbers (T, n) of which `draw` makes a path (T, n)."""
+    away = path - linear.path
+    before = jnp.concatenate([jnp.zeros_like(away[:1]), away[:-1]])
+    shift = theta - linear.centre
+    ahead = jnp.einsum("tij,tj->ti", linear.jacobian, before) + linear.offset
+    ahead = ahead + jnp.einsum("tip,p->ti", linear.design, shift)
+    n = away.shape[1]
+    mixed = jnp.einsum("tij,tj->ti", twist.link[:, :, :n], ahead) + twist.link[:, :, n]
+    mixed = mixed + jnp.einsum("tip,p->ti", twist.link[:, :, n + 1 :], shift)
+    return jnp.einsum("tji,tj->ti", twist.root, away - ahead) + mixed
+
+
+def fit_path(
+    model: Model, params: PyTree, prior: Prior, data: Data, first: Unknown, path: Array, iterations: int = 8
+) -> Linear:
+    """Find the most probable path with theta at its best, and linearise there: the iterated smoother, theta with it.
+
+    Two small programs are called in turn, so that each is compiled once for all uses.
+
+    Args:
+        model: the model.
+        params: its parameters.
+        prior: the prior; the box is not looked at.
+        data: the series.
+        first: theta to start from, and the variances.
+        path: (T, n) to start from.
+        iterations: Gauss-Newton steps.
+
+    Returns:
+        The linear model along that path.
+
+    Source: Bell 1994 (The iterated Kalman smoother as a Gauss-Newton method).
+    """
+    theta = first.theta
+    for _ in range(iterations):
+        linear = _linearize(model, params, prior, data, path, theta)
+        path, theta = _better(model, prior, data, linear, first.variances)
+    return _linearize(model, params, prior, data, path, theta)
+
+
+_linearize = jax.jit(linearize, static_argnums=0)
+
+
+@partial(jax.jit, static_argnums=0)
+def _better(model: Model, prior: Prior, data: Data, linear: Linear, variances: Array) -> tuple[Array, Array]:
+    """Return the most probable path and theta of a linear model."""
+    twist = backward(model, prior, data, linear, variances)
+    theta = collapse(prior, linear, twist).mean
+    return draw(flow(twist, linear, theta), linear, jnp.zeros_like(linear.path)[None])[0], theta
+
+
+__all__ = ["Collapsed", "Flow", "Twist", "backward", "collapse", "draw", "fit_path", "flow", "log_evidence",
+           "next_only", "nothing", "whiten"]  # fmt: skip

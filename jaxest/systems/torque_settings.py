@@ -1,0 +1,144 @@
+"""Data sets of Zakeri 2023: Baxter's left arm under the paper's torques in three settings, and steps too long.
+
+The paper leaves the motion open. `reachable`, the default, lets a known torque swing the arm within its limits; in
+`paper` and `mild` the arm falls freely, the last joint faster than any real one.
+"""
+
+import math
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxest.kinematics import inverse_dynamics
+from jaxest.kinematics.robot import Robot
+from jaxest.mcmc.model import Data, Prior
+from jaxest.systems.torque import Params, Truth, data_of, default_params, euler, paper_prior, simulate
+from jaxest.types import Array, InputError, unknown_name
+
+TORQUE = np.array([0.7, 0.6, 1.8, 1.0, 0.6, 0.25, 0.085])
+"""N m, Zakeri 2023, tables 1 and 2."""
+VARIANCE = 2e-7
+FALLING = np.array([0, 1.047, 0, 0.5, 0, 0.02, 0])
+SWINGING = np.array([0, -0.55, 0, 0.75, 0, 1.26, 0])
+_AMPLITUDES = np.array([0.4, 0.3, 0.5, 0.4, 0.6, 0.5, 0.6])
+_RATES = np.linspace(0.25, 0.55, 7)  # Hz
+
+
+class Setting(NamedTuple):
+    """How a data set is made."""
+
+    dt: float
+    """s"""
+    steps: int
+    """T"""
+    start: np.ndarray
+    """(7,) rad"""
+    swings: bool
+    """Whether a known torque swings the arm."""
+
+
+SETTINGS = {
+    "reachable": Setting(0.01, 100, SWINGING, True),
+    "paper": Setting(0.01, 100, FALLING, False),
+    "mild": Setting(0.005, 100, FALLING, False),
+}
+
+
+class Scene(NamedTuple):
+    """A data set."""
+
+    data: Data
+    prior: Prior
+    truth: Truth
+
+
+def named(name: str) -> Setting:
+    """Return a setting; raises InputError for a name that there is not."""
+    if name not in SETTINGS:
+        raise unknown_name("setting", name, SETTINGS)
+    return SETTINGS[name]
+
+
+def scene(robot: Robot, setting: Setting, *, key: Array, missing: float = 0.0) -> Scene:
+    """Draw a data set.
+
+    Args:
+        robot: Baxter's left arm, or another arm of seven joints.
+        setting: how.
+        key: random key.
+        missing: share of the readings that are missing.
+
+    Returns:
+        Series, prior and truth.
+    """
+    start = jnp.asarray(setting.start)
+    known = feedforward(robot, setting) if setting.swings else jnp.zeros((setting.steps, 7))
+    given = default_params(robot)._replace(mean=jnp.concatenate([start, jnp.zeros(7), jnp.asarray(TORQUE)]))
+    measured, truth = simulate(given, key=key, steps=setting.steps, dt=setting.dt, feedforward=known, missing=missing)
+    return Scene(data_of(measured), paper_prior(start, 7, variance=VARIANCE), truth)
+
+
+def feedforward(robot: Robot, setting: Setting) -> Array:
+    """Return the torques (T, 7) that swing the arm around its start, less the unknown ones; row k ends at k."""
+    time = jnp.arange(setting.steps) * setting.dt
+    rates = 2 * math.pi * jnp.asarray(_RATES)
+    # 1 - cos starts at rest, where the prior has the arm.
+    turn = rates[None] * time[:, None]
+    size = jnp.asarray(_AMPLITUDES)[None] / 2
+    q = jnp.asarray(setting.start)[None] + size * (1 - jnp.cos(turn))
+    v, a = size * rates[None] * jnp.sin(turn), size * rates[None] ** 2 * jnp.cos(turn)
+    wanted = jax.vmap(partial(inverse_dynamics, robot))(q, v, a) - jnp.asarray(TORQUE)[None]
+    return jnp.concatenate([wanted[:1], wanted[:-1]])
+
+
+def check_step(robot: Robot, x: Array, dt: float, seconds: float, given: Array | None = None) -> None:
+    """Refuse a step for which explicit Euler blows up.
+
+    Args:
+        robot: the robot.
+        x: (3 n,) start and torques.
+        dt: s, the step.
+        seconds: length of the series.
+        given: (n,) constant known torque.
+
+    Raises:
+        InputError: the motion without noise leaves all bounds; names the largest step that does not.
+    """
+    known = jnp.zeros(robot.nv) if given is None else given
+    n = robot.nv
+    fine = float(_fastest(robot, x, known, dt / 8, round(8 * seconds / dt))[0])
+    limit = 10 * max(fine, 1.0)
+
+    def safe(step: float) -> bool:
+        speed, finite = _fastest(robot, x, known, step, max(round(seconds / step), 1))
+        return bool(finite) and float(speed) <= limit
+
+    if safe(dt):
+        return
+    largest = next((dt * 0.9**k for k in range(1, 60) if safe(dt * 0.9**k)), 0.0)
+    raise InputError(
+        f"step h = {dt:g} s: explicit Euler blows up within {seconds:g} s on this robot of {n} joints; the largest "
+        f"safe step is about {largest:.2g} s"
+    )
+
+
+@jax.jit
+def _fastest(robot: Robot, x: Array, given: Array, dt: float, steps: int) -> tuple[Array, Array]:
+    """Largest speed of a motion without noise, and whether all of it is finite."""
+    n = robot.nv
+
+    def advance(_: int, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        x, fastest = now
+        x = euler(robot, x, given, jnp.asarray(dt))
+        return x, jnp.maximum(fastest, jnp.max(jnp.abs(x[n : 2 * n])))
+
+    x, fastest = jax.lax.fori_loop(0, steps, advance, (x, jnp.zeros(())))
+    finite = jnp.all(jnp.isfinite(x)) & jnp.isfinite(fastest)
+    return jnp.where(finite, fastest, jnp.inf), finite
+
+
+__all__ = ["FALLING", "SETTINGS", "SWINGING", "TORQUE", "VARIANCE", "Params", "Scene", "Setting", "check_step",
+           "feedforward", "named", "scene"]  # fmt: skip
