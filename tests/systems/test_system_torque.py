@@ -13,8 +13,10 @@ from jaxest.mcmc.model import Unknown
 from jaxest.systems import torque, torque_model, torque_sampler, torque_settings
 from jaxest.types import InputError
 
-PENDULUM = """<mujoco><worldbody><body><joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.5" size=".02"
-mass="1"/></body></worldbody></mujoco>"""
+PENDULUM = """<mujoco><worldbody><body name="link"><joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.5"
+size=".02" mass="1"/></body></worldbody></mujoco>"""
+BARE = """<robot name="bare"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>
+<child link="b"/><axis xyz="0 1 0"/></joint></robot>"""
 QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 
 
@@ -44,7 +46,7 @@ def test_packaged_arm_moves_as_mujoco_says(arm, x64):
         mujoco.mj_forward(model, data)
         found = kinematics.forward_dynamics(arm, data.qpos, data.qvel, data.qfrc_applied)
         np.testing.assert_allclose(found, data.qacc_smooth, rtol=1e-9)
-    np.testing.assert_allclose(np.sum(model.body_mass), 19.71084, rtol=1e-6)
+    np.testing.assert_allclose(np.sum(model.body_mass), 19.71082, rtol=1e-6)
 
 
 @pytest.mark.recorded
@@ -84,7 +86,7 @@ def test_marginal_likelihood_is_differentiable(pendulum, x64):
     given, measurements, _ = drawn(pendulum, 10)
 
     def value(logs, payload):
-        robot = kinematics.with_parameters(pendulum, mass=pendulum.mass * (1 + payload))
+        robot = kinematics.with_parameters(pendulum, payload={"link": (payload, jnp.array([0, 0, -0.5]))})
         noise = jnp.exp(logs)
         params = given._replace(robot=robot, position=noise[:1], velocity=noise[1:2], sensor=noise[2:])
         return jnp.sum(torque.smooth(params, measurements, iterations=8).log_likelihood)
@@ -126,7 +128,7 @@ def test_a_reachable_motion_stays_reachable(arm, x64):
     setting = torque_settings.named("reachable")
     scene = torque_settings.scene(arm, setting, key=jax.random.key(3), missing=0.1)
     low, high = np.asarray(arm.limits).T
-    assert np.all((scene.truth.angles > low) & (scene.truth.angles < high))
+    assert np.all((scene.truth.angles > low[None]) & (scene.truth.angles < high[None]))
     assert np.abs(scene.truth.velocity).max() < 3
     assert 0.05 < 1 - np.asarray(scene.data.valid).mean() < 0.15
     torque.check_prior(scene.prior, scene.data, jnp.asarray(torque_settings.TORQUE))
@@ -165,12 +167,12 @@ def test_priors_that_cannot_be_are_refused(pendulum, x64):
 def test_a_step_that_is_too_long_is_refused_with_one_that_is_not(arm, x64):
     x = jnp.concatenate([jnp.asarray(torque_settings.FALLING), jnp.zeros(7), jnp.asarray(torque_settings.TORQUE)])
     torque_settings.check_step(arm, x, 0.01, 1.0)
-    with pytest.raises(InputError, match="explicit Euler blows up within 2 s .* the largest safe step is about 0.0"):
+    with pytest.raises(InputError, match=r"explicit Euler blows up within 2 s .* the largest safe step is about 0\.0"):
         torque_settings.check_step(arm, x, 0.05, 2.0)
 
 
 def test_robots_without_inertia_or_with_free_joints_are_refused(x64):
-    bare = kinematics.load('<mujoco><worldbody><body><joint/><geom size=".1" mass="0"/></body></worldbody></mujoco>')
+    bare = kinematics.load(BARE)
     with pytest.raises(InputError, match="inertia"):
         torque.build(bare)
     with pytest.raises(InputError, match="expected hinges and slides only"):
