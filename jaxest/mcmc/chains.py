@@ -198,14 +198,15 @@ def warm_up(
 
 
 def _refit(model: Model, params: Params, data: Data, history: Info, discard: int) -> Tuning:
-    unknown = jax.tree.map(lambda x: x[discard:].reshape(-1, x.shape[-1]), history.unknown)
+    draws = (history.accepted.shape[0] - discard) * history.accepted.shape[1]
+    unknown = jax.tree.map(lambda x: x[discard:].reshape(draws, x.shape[-1]), history.unknown)
     theta = jnp.clip(jnp.mean(unknown.theta, axis=0), params.prior.low, params.prior.high)
     z = coordinates(unknown.variances)
     centre = jnp.mean(z, axis=0)
     away = z - centre[None]
-    draws = z.shape[0] / 10  # of the Gibbs sampler's draws, so many count as independent
-    covariance = away.T @ away / z.shape[0]
-    covariance = (draws * covariance + _SHRINK * jnp.diag(jnp.diagonal(covariance))) / (draws + _SHRINK)
+    weight = draws / 10  # of the Gibbs sampler's draws, so many count as independent
+    covariance = away.T @ away / draws
+    covariance = (weight * covariance + _SHRINK * jnp.diag(jnp.diagonal(covariance))) / (weight + _SHRINK)
     first = Unknown(theta, centre**-3)
     linear = fit_path(model, params.model, params.prior, data, first, params.tuning.linear.path, 4)
     return _tuning(model, params.prior, data, linear, centre, jnp.linalg.cholesky(covariance))

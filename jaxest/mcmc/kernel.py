@@ -121,7 +121,9 @@ def draw_theta(key: Array, collapsed: Collapsed) -> Array:
     return collapsed.mean + solve_triangular(collapsed.root, normal, lower=True, trans=1)
 
 
-def propose(model: Model, params: Params, data: Data, unknown: Unknown, twist: Twist, *, key: Array) -> Proposal:
+def propose(
+    model: Model, params: Params, data: Data, unknown: Unknown, twist: Twist, *, key: Array, boxed: bool = True
+) -> Proposal:
     """Propose variances and theta, and say how they fare in the linear model.
 
     Args:
@@ -131,6 +133,7 @@ def propose(model: Model, params: Params, data: Data, unknown: Unknown, twist: T
         unknown: where the chain is.
         twist: of its variances.
         key: random key.
+        boxed: whether theta must lie within its box; static.
 
     Returns:
         The proposal; its ratio is -infinity outside the box.
@@ -147,6 +150,8 @@ def propose(model: Model, params: Params, data: Data, unknown: Unknown, twist: T
     later = backward(model, prior, data, tuning.linear, variances, twist.here is not None)
     collapsed, before = collapse(prior, tuning.linear, later), collapse(prior, tuning.linear, twist)
     found = Unknown(draw_theta(key_theta, collapsed), variances)
+    if not boxed:
+        prior = prior._replace(low=jnp.full_like(prior.low, -jnp.inf), high=jnp.full_like(prior.high, jnp.inf))
     ratio = _log_target(prior, found, collapsed.log_evidence) - _log_target(prior, unknown, before.log_evidence)
     ratio = ratio + _log_reference(tuning, z) - _log_reference(tuning, moved)
     return Proposal(found, later, jnp.where(good & jnp.isfinite(ratio), ratio, -jnp.inf))
@@ -282,10 +287,10 @@ def _theta_within(key: Array, params: Params, twist: Twist) -> tuple[Array, Arra
 
 
 def _moved(
-    model: Model, params: Params, data: Data, unknown: Unknown, twist: Twist, key: Array
+    model: Model, params: Params, data: Data, unknown: Unknown, twist: Twist, key: Array, boxed: bool = True
 ) -> tuple[Unknown, Twist, Array]:
     key_move, key_accept = jax.random.split(key)
-    proposal = propose(model, params, data, unknown, twist, key=key_move)
+    proposal = propose(model, params, data, unknown, twist, key=key_move, boxed=boxed)
     yes = accept(key_accept, proposal.log_ratio)
     unknown, twist = chosen(yes, (proposal.unknown, proposal.twist), (unknown, twist))
     return unknown, twist, yes.astype(unknown.theta.dtype)
@@ -294,7 +299,7 @@ def _moved(
 def surrogate(
     model: Model, params: Params, data: Data, unknown: Unknown, twist: Twist, *, key: Array
 ) -> tuple[Unknown, Twist]:
-    """Move as the collapsed sampler does, forth and back, so that the whole is reversible.
+    """Move as the collapsed sampler does, forth and back, so that the whole is reversible; theta knows no box here.
 
     Args:
         model: the model.
@@ -308,10 +313,10 @@ def surrogate(
         Theta and variances, and the twist of the latter. Theta may lie outside its box; then the prior refuses it.
     """
     keys = jax.random.split(key, 4)
-    first, later, _ = _moved(model, params, data, unknown, twist, keys[0])
+    first, later, _ = _moved(model, params, data, unknown, twist, keys[0], boxed=False)
     variances, later, _ = augmented(model, params, data, first.variances, later, key=keys[1])
     theta, _ = _theta_within(keys[2], params, later)
-    second, later, _ = _moved(model, params, data, Unknown(theta, variances), later, keys[3])
+    second, later, _ = _moved(model, params, data, Unknown(theta, variances), later, keys[3], boxed=False)
     return second, later
 
 

@@ -47,7 +47,8 @@ def guided(model: Model, *, count: int = 16, at_once: bool = True, threshold: fl
             later = backward(model, params.prior, data, linear, unknown.variances, True)
             found = conditional_smc.run(model, params.model, data, linear, later, unknown, **options)
         inside = jnp.isfinite(log_prior(params.prior, unknown))
-        ratio = jnp.where(inside, found.log_evidence, -jnp.inf) - log_evidence(later, linear, unknown.theta)
+        found = found._replace(log_evidence=jnp.where(inside, found.log_evidence, -jnp.inf))
+        ratio = found.log_evidence - log_evidence(later, linear, unknown.theta)
         ratio = ratio - state.log_likelihood + log_evidence(twist, linear, state.unknown.theta)
         return _decided(model, state, found, unknown, ratio, keys[2])
 

@@ -48,7 +48,10 @@ def tuned(data):
     return Params(PARAMS[PENDULUM], given, tuning)
 
 
-@pytest.mark.parametrize("name", list(KERNELS))
+SLOW = ("mh_sequential", "gibbs_adapted")
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in KERNELS])
 def test_the_joint_density_is_left_as_it_is(name):
     """Getting it right (Geweke 2004), from exact draws: some iterations later they still follow the prior."""
     sampler = KERNELS[name]()
@@ -155,6 +158,7 @@ def test_draws_become_inference_data(tmp_path):
     assert (tmp_path / "draws.nc").stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_one_trace_and_the_same_numbers_without_vmap(warm):
     one, params = warm
     sampler = particle_mh.guided(PENDULUM, count=4)

@@ -71,7 +71,7 @@ def test_a_linear_models_evidence_is_estimated_without_bias(look):
     given = look(one.model, one.prior, one.data, linear, one.unknown.variances, **options)
 
     def ratio(key):
-        found = conditional_smc.run(one.model, one.params, one.data, linear, given, one.unknown, key=key, count=50)
+        found = conditional_smc.run(one.model, one.params, one.data, linear, given, one.unknown, key=key, count=200)
         return jnp.exp(found.log_evidence - exact)
 
     ratios = jax.jit(jax.vmap(ratio))(jax.random.split(jax.random.key(0), 200))
