@@ -3,8 +3,8 @@
 Start with `imu_static.calibrate` (a rest found by itself: gyro bias and noise), then `ellipsoid.fit` on slow turns
 (accelerometer or magnetometer: scale, skew of the axes, bias), `alignment.align` for what that leaves open; `imu` does
 all of it, applies it and keeps it in a file. `clock.offset` is for two IMUs on one link, `mounting` finds the axes of
-joints and how sensors sit on their links, `circle` fits one to points. Each says how well it knows, and refuses where the recording does
-not tell.
+joints and how sensors sit on their links, `circle` fits one to points. Each says how well it knows, and refuses where
+the recording does not tell.
 
 Not here: estimators that find such things along with the motion (`jaxest.filters`, `jaxest.systems`).
 """
