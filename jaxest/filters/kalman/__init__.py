@@ -15,7 +15,7 @@ Not here: sigma points, ensembles, and correlated measurement noise across senso
 """
 
 from jaxest.filters.kalman.factors import Factor, cauchy, huber
-from jaxest.filters.kalman.gain import Gain, Gained, by_size, measurement_gain, state_gain
+from jaxest.filters.kalman.gain import Gain, Gained, by_size, information_gain, measurement_gain, state_gain
 from jaxest.filters.kalman.gaussian import Gaussian, independent, predict
 from jaxest.filters.kalman.linear import Root, Series, filter_series, smooth_series, whitened
 from jaxest.filters.kalman.model import Info, Model, Sensor, State, filter_step, init, sensor
@@ -44,6 +44,7 @@ __all__ = [
     "filter_step",
     "huber",
     "independent",
+    "information_gain",
     "init",
     "measurement_gain",
     "predict",

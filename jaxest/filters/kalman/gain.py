@@ -83,23 +83,42 @@ def state_gain(covariance: Array, design: Array, innovation: Array) -> Gained:
 
     Source: Xu, Zhang 2021 (FAST-LIO), eq. 20, after the matrix inversion lemma.
     """
-    n = design.shape[1]
     information, pull = product(design.T, design), product(design.T, innovation)
+    found = information_gain(covariance, information, pull)
+    left = innovation - product(design, found.correction)
+    dual = found.dual
+    return found._replace(nis=jnp.sum(left * left) + jnp.sum(dual * product(covariance, dual)))
+
+
+def information_gain(covariance: Array, information: Array, pull: Array) -> Gained:
+    """Update with normal equations, for rows that were summed up as they came.
+
+    Args:
+        covariance: (n, n) before; may be singular.
+        information: (n, n) H' R^-1 H.
+        pull: (n,) H' R^-1 y of the innovation y.
+
+    Returns:
+        The update; its `nis` lacks the part y' R^-1 y, which the sums no longer hold: it is minus what the update
+        explains of it.
+
+    Source: as `state_gain`.
+    """
+    n = pull.shape[0]
     # Pivots are compared between states of different units: scale every state to its own standard deviation.
     scale = jax.lax.stop_gradient(jnp.sqrt(jnp.where(jnp.diagonal(covariance) > 0, jnp.diagonal(covariance), 1)))
     square = scale[:, None] * scale[None, :]
     scaled = covariance / square
-    factor = lu_factor(jnp.eye(n, dtype=design.dtype) + product(scaled, information * square))
+    factor = lu_factor(jnp.eye(n, dtype=pull.dtype) + product(scaled, information * square))
     shrink = scale[:, None] * lu_solve(factor, jnp.diag(1 / scale))  # I - K H
     moved = product(shrink, covariance)
     correction = product(moved, pull)
     dual = pull - product(information, correction)
-    left = innovation - product(design, correction)
     return Gained(
         correction,
         dual,
         symmetric(sandwich(shrink, covariance) + sandwich(moved, information)),
-        jnp.sum(left * left) + jnp.sum(dual * product(covariance, dual)),
+        -jnp.sum(pull * correction),
         jnp.sum(jnp.log(jnp.abs(jnp.diagonal(factor[0])))),
     )
 
@@ -110,4 +129,4 @@ def by_size(covariance: Array, design: Array, innovation: Array) -> Gained:
     return chosen(covariance, design, innovation)
 
 
-__all__ = ["Gain", "Gained", "by_size", "measurement_gain", "state_gain"]
+__all__ = ["Gain", "Gained", "by_size", "information_gain", "measurement_gain", "state_gain"]

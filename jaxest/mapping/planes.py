@@ -1,0 +1,100 @@
+"""Planes through a few points each, in closed form."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jaxest.types import Array
+
+
+class Planes(NamedTuple):
+    """Planes through neighbours."""
+
+    center: Array
+    """(n, 3) m, the centroid."""
+    normal: Array
+    """(n, 3) unit, either way; any unit vector where not valid."""
+    thickness: Array
+    """(n,) m, root mean square distance of the neighbours from the plane."""
+    spread: Array
+    """(n,) m, root mean square extent along the plane's shorter way: small where the points lie on a line."""
+    valid: Array
+    """(n,) bool, enough neighbours that do not lie on a line."""
+
+
+def fit(points: tuple[Array, Array, Array], there: Array, *, least: int = 3, line: float = 0.03) -> Planes:
+    """Lay a plane through the k neighbours of each of n points, about their centroid.
+
+    Args:
+        points: x, y and z (k, n) m; finite everywhere.
+        there: (k, n) bool, which neighbours exist.
+        least: neighbours that a plane needs.
+        line: m, a smaller `spread` makes a line of it.
+
+    Returns:
+        The planes.
+
+    Source: Iwao 2025, eq. 7; about the centroid, so that planes through the origin are like others. Eigenvalues of the
+    3 x 3 covariance by the trigonometric formula, the normal as the largest cross product of two rows of A - lambda I.
+    """
+    x, y, z = points
+    count = jnp.sum(there, axis=0).astype(x.dtype)
+    share = 1 / jnp.maximum(count, 1)
+
+    def mean(v: Array) -> Array:
+        return jnp.sum(jnp.where(there, v, 0), axis=0) * share
+
+    center = (mean(x), mean(y), mean(z))
+    dx, dy, dz = (v - c[None] for v, c in zip(points, center, strict=True))
+    a = (mean(dx * dx), mean(dx * dy), mean(dx * dz), mean(dy * dy), mean(dy * dz), mean(dz * dz))
+    low, middle = eigenvalues(a)
+    normal = eigenvector(a, low)
+    low, middle = jnp.maximum(low, 0), jnp.maximum(middle, 0)
+    # The root of an exact 0 has no derivative.
+    thickness, spread = (jnp.where(v > 0, jnp.sqrt(jnp.where(v > 0, v, 1)), 0) for v in (low, middle))
+    return Planes(jnp.stack(center, -1), normal, thickness, spread, (count >= least) & (spread > line))
+
+
+def eigenvalues(a: tuple[Array, ...]) -> tuple[Array, Array]:
+    """Return the smallest and the middle eigenvalue of symmetric 3 x 3 (xx, xy, xz, yy, yz, zz)."""
+    xx, xy, xz, yy, yz, zz = a
+    q = (xx + yy + zz) / 3
+    off = xy * xy + xz * xz + yz * yz
+    p2 = ((xx - q) ** 2 + (yy - q) ** 2 + (zz - q) ** 2 + 2 * off) / 6
+    some = p2 > 0
+    p = jnp.sqrt(jnp.where(some, p2, 1))
+    bx, by, bz = (xx - q) / p, (yy - q) / p, (zz - q) / p
+    xy, xz, yz = xy / p, xz / p, yz / p
+    det = bx * (by * bz - yz * yz) - xy * (xy * bz - yz * xz) + xz * (xy * yz - by * xz)
+    # Just inside 1 the arc cosine still has a finite derivative.
+    edge = 1 - 4 * float(jnp.finfo(q.dtype).eps)
+    angle = jnp.arccos(jnp.clip(det / 2, -edge, edge)) / 3
+    p = jnp.where(some, p, 0)
+    high = q + 2 * p * jnp.cos(angle)
+    low = q + 2 * p * jnp.cos(angle + 2 * jnp.pi / 3)
+    return low, 3 * q - high - low
+
+
+def eigenvector(a: tuple[Array, ...], value: Array) -> Array:
+    """Return the unit eigenvectors (n, 3) of a simple eigenvalue; z where there is none."""
+    xx, xy, xz, yy, yz, zz = a
+    rows = ((xx - value, xy, xz), (xy, yy - value, yz), (xz, yz, zz - value))
+    best, length = None, None
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        (a1, a2, a3), (b1, b2, b3) = rows[i], rows[j]
+        found = (a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1)
+        size = found[0] ** 2 + found[1] ** 2 + found[2] ** 2
+        if best is None or length is None:
+            best, length = found, size
+        else:
+            more = size > length
+            best = tuple(jnp.where(more, f, b) for f, b in zip(found, best, strict=True))
+            length = jnp.where(more, size, length)
+    assert best is not None and length is not None
+    some = length > 0
+    root = jnp.sqrt(jnp.where(some, length, 1))
+    parts = [jnp.where(some, c / root, 1.0 if k == 2 else 0.0) for k, c in enumerate(best)]
+    return jnp.stack(parts, -1)
+
+
+__all__ = ["Planes", "eigenvalues", "eigenvector", "fit"]

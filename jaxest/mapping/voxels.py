@@ -1,0 +1,177 @@
+"""A map of one point a voxel, in arrays of fixed size."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+from jaxest.mapping.layout import Layout, cells
+from jaxest.types import Array, ArrayLike
+
+FREE = -1
+
+
+class VoxelMap(NamedTuple):
+    """A map; `layout` is static and goes beside it."""
+
+    table: Array
+    """(slots,) int32, the row of each slot, -1 where it is empty."""
+    point: Array
+    """(M, 3) m, the rows' points."""
+    total: Array
+    """(M, 4 + d) sums over a row's points: position, count, what they carry."""
+    slot: Array
+    """(M,) int32, each row's slot."""
+    used: Array
+    """() int32, rows in use."""
+    overflow: Array
+    """() int32, points that found no room: no row left, a slot of another place, or outside of the grid."""
+
+
+def empty(layout: Layout, capacity: int, extra: int = 0, dtype: jnp.dtype | type = jnp.float32) -> VoxelMap:
+    """Return a map without points.
+
+    Args:
+        layout: `Grid` or `Hashed`.
+        capacity: M, voxels at most.
+        extra: d, numbers that each point carries.
+        dtype: of everything that is no whole number.
+
+    Returns:
+        The map.
+
+    Raises:
+        ValueError: no capacity.
+    """
+    if capacity < 1:
+        raise ValueError(f"capacity: got {capacity}, expected at least 1")
+    return VoxelMap(
+        jnp.full(layout.slots, FREE, jnp.int32),
+        jnp.zeros((capacity, 3), dtype),
+        jnp.zeros((capacity, 4 + extra), dtype),
+        jnp.full(capacity, layout.slots, jnp.int32),
+        jnp.zeros((), jnp.int32),
+        jnp.zeros((), jnp.int32),
+    )
+
+
+def insert(
+    layout: Layout,
+    chart: VoxelMap,
+    point: Array,
+    valid: Array,
+    extra: Array | None = None,
+    *,
+    most: float = 1000.0,
+    central: bool = False,
+) -> VoxelMap:
+    """Bring points into a map.
+
+    Args:
+        layout: the map's.
+        chart: the map.
+        point: (n, 3) m; any finite number where not valid.
+        valid: (n,) bool.
+        extra: (n, d) what the points carry, if the map carries anything.
+        most: a voxel's mean moves as if it had seen at most about this many points.
+        central: keep the point nearest to the voxel's centre instead of the mean.
+
+    Returns:
+        The map. Points that find no room are counted in `overflow` and change nothing else.
+    """
+    rows, chart = _rows(layout, chart, point, valid)
+    capacity = chart.point.shape[0]
+    ones = jnp.ones((point.shape[0], 1), point.dtype)
+    new = jnp.concatenate([point, ones] + ([] if extra is None else [extra]), axis=1)
+    if central:
+        total = _central(layout, chart, point, rows, new)
+    else:
+        total = chart.total.at[rows].add(new, mode="drop")
+        heavy = total[jnp.minimum(rows, capacity - 1), 3] > 2 * most
+        factor = jnp.where(heavy, 0.5, 1.0).astype(total.dtype)
+        # Rows that several points share get the same factor from each: set, not multiplied.
+        halved = total[jnp.minimum(rows, capacity - 1)] * factor[:, None]
+        total = total.at[jnp.where(heavy, rows, capacity)].set(halved, mode="drop")
+    touched = total[jnp.minimum(rows, capacity - 1), :4]
+    mean = touched[:, :3] / jnp.where(touched[:, 3:] > 0, touched[:, 3:], 1)
+    return chart._replace(total=total, point=chart.point.at[rows].set(mean, mode="drop"))
+
+
+def _rows(layout: Layout, chart: VoxelMap, point: Array, valid: Array) -> tuple[Array, VoxelMap]:
+    """Find or make the row of each point; M where there is none. The first point to claim a slot makes its row."""
+    capacity, count = chart.point.shape[0], point.shape[0]
+    slot = layout.slot(cells(layout, (point[:, 0], point[:, 1], point[:, 2])))
+    placed = valid & (slot < layout.slots)
+    at = jnp.minimum(slot, layout.slots - 1)
+    row = chart.table[at]
+    mine = jnp.arange(count, dtype=jnp.int32)
+    claim = chart.table.at[jnp.where(placed & (row == FREE), slot, layout.slots)].set(-2 - mine, mode="drop")
+    first = placed & (row == FREE) & (claim[at] == -2 - mine)
+    made = chart.used + jnp.cumsum(first.astype(jnp.int32)) - 1
+    made = jnp.where(made < capacity, made, FREE)
+    table = claim.at[jnp.where(first, slot, layout.slots)].set(made, mode="drop")
+    row = table[at]
+    there = placed & (row >= 0)
+    # A slot of another place: its point is far off.
+    old = jnp.minimum(row, capacity - 1)
+    seen = chart.total[old, 3] > 0
+    away = jnp.max(jnp.abs(chart.point[old] - point), axis=1) > 2.5 * layout.voxel
+    there = there & ~(seen & away)
+    rows = jnp.where(there, row, capacity)
+    owned = chart.slot.at[jnp.where(first & there, row, capacity)].set(slot, mode="drop")
+    used = jnp.minimum(chart.used + jnp.sum(first, dtype=jnp.int32), capacity)
+    lost = jnp.sum(valid & ~there, dtype=jnp.int32)
+    return rows, chart._replace(table=table, slot=owned, used=used, overflow=chart.overflow + lost)
+
+
+def _central(layout: Layout, chart: VoxelMap, point: Array, rows: Array, new: Array) -> Array:
+    capacity = chart.point.shape[0]
+
+    def off(x: Array) -> Array:
+        return jnp.sum((x - (jnp.floor(x / layout.voxel) + 0.5) * layout.voxel) ** 2, axis=-1)
+
+    now = jnp.where(chart.total[:, 3] > 0, off(chart.point), jnp.inf)
+    mine = off(point)
+    best = now.at[rows].min(mine, mode="drop")
+    wins = mine <= best[jnp.minimum(rows, capacity - 1)]
+    wins = wins & (mine < now[jnp.minimum(rows, capacity - 1)])
+    return chart.total.at[jnp.where(wins, rows, capacity)].set(new, mode="drop")
+
+
+def occupied(chart: VoxelMap) -> Array:
+    """Return which rows hold a point, (M,) bool."""
+    return jnp.arange(chart.point.shape[0]) < chart.used
+
+
+def carried(chart: VoxelMap, rows: Array | None = None) -> Array:
+    """Return the mean of what the points of rows (...,) carry, (..., d), of all rows if None; 0 where none is."""
+    total = chart.total if rows is None else chart.total[rows]
+    return total[..., 4:] / jnp.where(total[..., 3:4] > 0, total[..., 3:4], 1)
+
+
+def shift(chart: VoxelMap, moved: ArrayLike) -> VoxelMap:
+    """Move every point by (M, 3) m, where the map's frame bends; each stays in its slot."""
+    moved = jnp.asarray(moved, chart.point.dtype)
+    moved = jnp.where(occupied(chart)[:, None], moved, 0)
+    total = chart.total.at[:, :3].add(moved * chart.total[:, 3:4])
+    return chart._replace(point=chart.point + moved, total=total)
+
+
+def merge(layout: Layout, one: VoxelMap, other: VoxelMap) -> VoxelMap:
+    """Bring another map of the same frame and layout into a map; each voxel's points count as many as they were.
+
+    Args:
+        layout: of both.
+        one: the map that receives.
+        other: the map that gives, any capacity, carrying as much.
+
+    Returns:
+        The merged map.
+    """
+    rows, chart = _rows(layout, one, other.point, occupied(other))
+    total = chart.total.at[rows].add(other.total, mode="drop")
+    touched = total[jnp.minimum(rows, one.point.shape[0] - 1), :4]
+    mean = touched[:, :3] / jnp.where(touched[:, 3:] > 0, touched[:, 3:], 1)
+    return chart._replace(total=total, point=chart.point.at[rows].set(mean, mode="drop"))
+
+
+__all__ = ["FREE", "VoxelMap", "carried", "empty", "insert", "merge", "occupied", "shift"]

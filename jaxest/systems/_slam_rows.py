@@ -1,0 +1,154 @@
+"""Points of one link against the map: planes, residuals, and their normal equations."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+
+from jaxest.filters.kalman.gaussian import product, symmetric
+from jaxest.manifolds import so3
+from jaxest.mapping import Layout, VoxelMap, carried, fit, nearest
+from jaxest.types import Array
+
+
+class Pose(NamedTuple):
+    """One link at the state's mean, and how the state moves it."""
+
+    position: Array
+    """(3,) m."""
+    rotation: Array
+    """(3, 3)."""
+    turn: Array
+    """(3, D)."""
+    travel: Array
+    """(3, D)."""
+
+
+class Points(NamedTuple):
+    """What a link sees."""
+
+    local: Array
+    """(n, 3) m, in the link; finite everywhere."""
+    ray: Array
+    """(n, 3), direction, in the link."""
+    reach: Array
+    """(n,) m, the range."""
+    valid: Array
+    """(n,) bool."""
+
+
+class Rows(NamedTuple):
+    """Point-to-plane rows, about the pose they were matched at."""
+
+    residual: Array
+    """(n,) m, along the plane's normal."""
+    design: Array
+    """(n, D) derivative by the state's tangent."""
+    lever: Array
+    """(n, 6) derivative by a small motion of the link alone, [rotation, translation] along the world's axes."""
+    weight: Array
+    """(n,) 1/m2; 0 where a row does not count."""
+    matched: Array
+    """(n,) bool, points with a plane beside them, whatever the residual."""
+
+
+class Sums(NamedTuple):
+    """Normal equations of a link's rows, its own unknown motion taken out."""
+
+    information: Array
+    """(D, D)."""
+    pull: Array
+    """(D,), of minus the residuals."""
+    square: Array
+    """() weighted sum of squares."""
+    pose: Array
+    """(6, 6) H' R^-1 H of the link's own pose, [rotation, translation]."""
+    inliers: Array
+    """() int32, rows that count."""
+    matched: Array
+    """() int32, points with a plane."""
+    seen: Array
+    """() int32, points there were."""
+
+
+def moved(pose: Pose, v: Array) -> Pose:
+    """Move a link along the state's tangent, its derivatives kept."""
+    turned = product(so3.exp(product(pose.turn, v)), pose.rotation)
+    return pose._replace(position=pose.position + product(pose.travel, v), rotation=turned)
+
+
+def world(pose: Pose, local: Array) -> Array:
+    """Return points (n, 3) m in the world."""
+    return product(local, pose.rotation.T) + pose.position[None]
+
+
+def point_slope(pose: Pose, x: Array) -> Array:
+    """Return the derivative (n, 3, D) of world points (n, 3) on a link by the state's tangent."""
+    arm = x - pose.position[None]
+    a, b, c = (arm[:, i, None] for i in range(3))
+    w = [pose.turn[i][None] for i in range(3)]
+    turned = (w[1] * c - w[2] * b, w[2] * a - w[0] * c, w[0] * b - w[1] * a)
+    return jnp.stack([t + pose.travel[i][None] for i, t in enumerate(turned)], axis=1)
+
+
+def match(layout: Layout, chart: VoxelMap, params: Any, pose: Pose, points: Points, offset: Array, roots: int) -> Rows:
+    """Find a plane beside each point, and write the distance to it as a row.
+
+    Args:
+        layout: the map's.
+        chart: the map; its points carry how they move with the biases, (3 * biases,).
+        params: the system's.
+        pose: where the link is taken to be.
+        points: what it sees.
+        offset: (n,) the biases' mean less that at which the map's points stand.
+        roots: columns of the state that are no biases, D - n.
+
+    Returns:
+        The rows.
+    """
+    x = world(pose, points.local)
+    near = nearest(layout, chart, x)
+    neighbours = [chart.point[:, i][near.row] for i in range(3)]
+    planes = fit((neighbours[0], neighbours[1], neighbours[2]), near.there)
+    found = points.valid & planes.valid & (planes.thickness < params.thickness)
+    n = planes.normal
+    count = jnp.maximum(jnp.sum(near.there, axis=0), 1).astype(x.dtype)
+    kept = jnp.where(near.there[..., None], carried(chart, near.row), 0)
+    moves = (jnp.sum(kept, axis=0) / count[:, None]).reshape(len(x), 3, -1)
+    along = sum(n[:, i, None] * moves[:, i] for i in range(3))
+    slope = point_slope(pose, x)
+    design = sum(n[:, i, None] * slope[:, i] for i in range(3))
+    design = jnp.concatenate([design[:, :roots], design[:, roots:] - along], axis=1)
+    away = x - planes.center
+    residual = jnp.sum(n * away, axis=1) - product(along, offset)
+    arm = x - pose.position[None]
+    lever = jnp.concatenate([jnp.cross(arm, n), n], axis=1)
+    inside = found & (jnp.abs(residual) < params.gate * jnp.sqrt(points.reach))
+    slant = jnp.sum(n * product(points.ray, pose.rotation.T), axis=1)
+    variance = params.floor**2 + (params.noise * points.reach * slant) ** 2 + planes.thickness**2
+    variance = variance + (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0)
+    return Rows(residual, design, lever, jnp.where(inside, 1 / variance, 0), found)
+
+
+def sums(rows: Rows, points: Points, spare: Array) -> Sums:
+    """Sum rows up; what the link may have moved on its own, with covariance `spare` (6, 6), is marginalised out.
+
+    Residuals of one scan share the errors of their planes and of the link, so that however many they are, they do not
+    place it better than `spare`.
+    """
+    dimension = rows.design.shape[1]
+    table = jnp.concatenate([rows.design, rows.lever, rows.residual[:, None]], axis=1)
+    gram = product((table * rows.weight[:, None]).T, table)
+    state, own = slice(0, dimension), slice(dimension, dimension + 6)
+    pose = gram[own, own]
+    shared = jnp.linalg.solve(jnp.eye(6, dtype=gram.dtype) + product(spare, pose), spare)
+    cross = gram[state, own]
+    held = product(cross, shared)
+    information = symmetric(gram[state, state] - product(held, cross.T))
+    pull = -(gram[state, -1] - product(held, gram[own, -1]))
+    square = gram[-1, -1] - jnp.sum(gram[own, -1] * product(shared, gram[own, -1]))
+    used = rows.weight > 0
+    counts = (jnp.sum(m, dtype=jnp.int32) for m in (used, rows.matched, points.valid))
+    return Sums(information, pull, square, pose, *counts)
+
+
+__all__ = ["Points", "Pose", "Rows", "Sums", "match", "moved", "point_slope", "sums", "world"]
