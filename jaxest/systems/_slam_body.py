@@ -135,7 +135,9 @@ def _check(one: Proximity, origin: NDArray[np.float64], away: NDArray[np.float64
     if np.abs(np.linalg.norm(away, axis=1) - 1).max() > 1e-3:
         raise InputError(f"sensor on {one.frame!r}: directions of length {np.linalg.norm(away, axis=1)}, expected 1")
     if not 0 <= one.minimum < one.maximum:
-        raise InputError(f"sensor on {one.frame!r}: ranges from {one.minimum} to {one.maximum} m, expected 0 <= min < max")
+        raise InputError(
+            f"sensor on {one.frame!r}: ranges from {one.minimum} to {one.maximum} m, expected 0 <= min < max"
+        )
 
 
 def manifold(body: Body) -> product.Product:

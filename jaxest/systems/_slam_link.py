@@ -82,7 +82,7 @@ def walk(
     def link(carry: Carry, row: tuple[Array, Points]) -> tuple[Carry, Seen]:
         at, mine = row
         here = _pose(bodies.links(body, carry.mean, reading, body.scanned), at)
-        some = jax.tree.map(lambda x: _subset(x, parts, turn), mine)
+        some = jax.tree.map(lambda x: subset(x, parts, turn), mine)
         slope = jnp.concatenate([here.turn, here.travel])[:, roots:]
         own = jnp.concatenate([jnp.full(3, params.jitter_rotation**2), jnp.full(3, params.jitter_position**2)])
         spare = product(slope * noise[None], slope.T) + jnp.diag(own.astype(slope.dtype))
@@ -93,7 +93,7 @@ def walk(
     return jax.lax.scan(link, start, (jnp.arange(len(body.scanned)), points))
 
 
-def _subset(x: Array, parts: int, turn: Array) -> Array:
+def subset(x: Array, parts: int, turn: Array) -> Array:
     """Take each `parts`-th zone, beginning with `turn`."""
     whole = x.shape[0] - x.shape[0] % parts
     grouped = x[:whole].reshape(whole // parts, parts, *x.shape[1:])
@@ -172,4 +172,4 @@ def rebased(carry: Carry, least: float = BEND) -> Carry:
     return carry._replace(chart=chart, reference=reference)
 
 
-__all__ = ["Carry", "Config", "Seen", "rebased", "walk"]
+__all__ = ["Carry", "Config", "Seen", "rebased", "subset", "walk"]

@@ -109,11 +109,12 @@ def match(layout: Layout, chart: VoxelMap, params: Any, pose: Pose, points: Poin
     near = nearest(layout, chart, x)
     neighbours = [chart.point[:, i][near.row] for i in range(3)]
     planes = fit((neighbours[0], neighbours[1], neighbours[2]), near.there)
-    found = points.valid & planes.valid & (planes.thickness < params.thickness)
+    scatter = params.noise * points.reach
+    found = points.valid & planes.valid & (planes.thickness < params.thickness + scatter)
     n = planes.normal
     count = jnp.maximum(jnp.sum(near.there, axis=0), 1).astype(x.dtype)
     kept = jnp.where(near.there[..., None], carried(chart, near.row), 0)
-    moves = (jnp.sum(kept, axis=0) / count[:, None]).reshape(len(x), 3, -1)
+    moves = (jnp.sum(kept, axis=0) / count[:, None]).reshape(len(x), 3, pose.turn.shape[1] - roots)
     along = sum(n[:, i, None] * moves[:, i] for i in range(3))
     slope = point_slope(pose, x)
     design = sum(n[:, i, None] * slope[:, i] for i in range(3))
@@ -122,9 +123,9 @@ def match(layout: Layout, chart: VoxelMap, params: Any, pose: Pose, points: Poin
     residual = jnp.sum(n * away, axis=1) - product(along, offset)
     arm = x - pose.position[None]
     lever = jnp.concatenate([jnp.cross(arm, n), n], axis=1)
-    inside = found & (jnp.abs(residual) < params.gate * jnp.sqrt(points.reach))
+    inside = found & (residual**2 < params.gate**2 * points.reach + (3 * scatter) ** 2)
     slant = jnp.sum(n * product(points.ray, pose.rotation.T), axis=1)
-    variance = params.floor**2 + (params.noise * points.reach * slant) ** 2 + planes.thickness**2
+    variance = params.floor**2 + (scatter * slant) ** 2 + planes.thickness**2
     variance = variance + (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0)
     return Rows(residual, design, lever, jnp.where(inside, 1 / variance, 0), found)
 

@@ -42,17 +42,18 @@ class Params(NamedTuple):
 
     noise: ArrayLike = 0.01 / 2.7
     """() standard deviation of a range, by the range."""
-    floor: ArrayLike = 0.01
-    """() m, standard deviation of a distance to a plane however near."""
+    floor: ArrayLike = 0.03
+    """() m, standard deviation of a distance to a plane however near: rows on one plane share its error, and are
+    counted for less instead."""
     tilt: ArrayLike = 0.0
     """() rad, standard deviation of a sensor's direction about each axis."""
-    gate: ArrayLike = 0.111
-    """() m^0.5, a residual beyond this times the root of its range does not count."""
-    thickness: ArrayLike = 0.05
-    """() m, of a plane at most."""
-    jitter_position: ArrayLike = 0.005
+    gate: ArrayLike = 0.04
+    """() m^0.5, a residual beyond this times the root of its range, and three times its noise, does not count."""
+    thickness: ArrayLike = 0.005
+    """() m, of a plane at most, beyond a range's standard deviation."""
+    jitter_position: ArrayLike = 0.001
     """() m, standard deviation along each axis of what one scan can place a link to."""
-    jitter_rotation: ArrayLike = 0.003
+    jitter_rotation: ArrayLike = 0.0005
     """() rad, the same of its rotation."""
     bias_start: ArrayLike = 0.1
     """() or (n,) rad or m, standard deviation of a bias before the first scan."""
@@ -183,8 +184,12 @@ def build(
             raise ValueError(f"{name}: got {value}, expected at least 1")
     body = bodies.body(robot, sensors)
     config = Config(layout or Hashed(0.2), points, rounds, least, central)
+    measurement = Fixed if body.root is None else Free
     return System(
-        Params(), partial(init, body, config.layout, capacity), partial(_step, body, config), partial(simulate, body)
+        Params(),
+        partial(init, body, config.layout, capacity),
+        partial(_step, body, config),
+        partial(simulate, body, measurement),
     )
 
 

@@ -1,0 +1,161 @@
+"""Point clouds in files: PLY and PCD for viewers, NPZ for ourselves."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxest.types import InputError
+
+SUFFIXES = (".ply", ".pcd", ".npz")
+_PLY = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
+        "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+        "float32": "f4", "float64": "f8"}  # fmt: skip
+
+
+class Cloud(NamedTuple):
+    """Points, with how many readings each stands for."""
+
+    point: NDArray[np.float64]
+    """(n, 3) m."""
+    count: NDArray[np.float64]
+    """(n,), 1 where a file does not say."""
+
+
+def write_cloud(cloud: Cloud, path: str | Path) -> None:
+    """Write points.
+
+    Args:
+        cloud: the points.
+        path: ends in `.ply` (binary), `.pcd` (binary) or `.npz`.
+
+    Raises:
+        InputError: another suffix, or shapes that do not fit.
+    """
+    path = Path(path)
+    point = np.asarray(cloud.point, float).reshape(-1, 3) if np.size(cloud.point) else np.zeros((0, 3))
+    count = np.asarray(cloud.count, float)
+    if count.shape != (len(point),):
+        raise InputError(f"{path}: {count.shape} counts for {len(point)} points")
+    if _suffix(path) == ".npz":
+        np.savez(path, point=point, count=count)
+        return
+    rows = np.column_stack([point, count]).astype("<f4")
+    if _suffix(path) == ".ply":
+        names = "".join(f"property float {name}\n" for name in ("x", "y", "z", "count"))
+        head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{names}end_header\n"
+    else:
+        head = (
+            "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z count\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
+            f"WIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\nDATA binary\n"
+        )
+    path.write_bytes(head.encode() + rows.tobytes())
+
+
+def read_cloud(path: str | Path) -> Cloud:
+    """Read points.
+
+    Args:
+        path: a PLY (ASCII or binary), PCD (ASCII or binary) or NPZ file; fields other than x, y, z, count are skipped.
+
+    Returns:
+        The points that are finite.
+
+    Raises:
+        FileNotFoundError: no such file.
+        InputError: the file is no point cloud; the message says why.
+    """
+    path = Path(path)
+    suffix, data = _suffix(path), path.read_bytes()
+    if suffix == ".npz":
+        try:
+            with np.load(path) as kept:
+                point = np.asarray(kept["point"], float)
+                count = np.asarray(kept["count"], float) if "count" in kept else np.ones(len(point))
+        except (KeyError, ValueError, OSError) as error:
+            raise InputError(f"{path}: {error}, expected arrays 'point' (n, 3) and 'count' (n,)") from None
+        if point.ndim != 2 or point.shape[1] != 3 or count.shape != (len(point),):
+            raise InputError(f"{path}: shapes {point.shape} and {count.shape}, expected (n, 3) and (n,)")
+    else:
+        table = _ply(path, data) if suffix == ".ply" else _pcd(path, data)
+        missing = [name for name in "xyz" if name not in (table.dtype.names or ())]
+        if missing:
+            raise InputError(f"{path}: has no field {', '.join(missing)}; found {', '.join(table.dtype.names or ())}")
+        point = np.column_stack([table[name].astype(float) for name in "xyz"])
+        count = table["count"].astype(float) if "count" in (table.dtype.names or ()) else np.ones(len(point))
+    good = np.isfinite(point).all(axis=1)
+    return Cloud(point[good], count[good])
+
+
+def _suffix(path: Path) -> str:
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: ends in {path.suffix or 'nothing'!r}, expected one of {', '.join(SUFFIXES)}")
+    return path.suffix.lower()
+
+
+def _ply(path: Path, data: bytes) -> NDArray[np.void]:
+    head, mark, body = data.partition(b"end_header\n")
+    lines = head.decode("ascii", "replace").split("\n")
+    if not mark or lines[0].strip() != "ply":
+        raise InputError(f"{path}: is no PLY file, it begins with {data[:12]!r}")
+    kind, count, fields, inside = "", 0, [], False
+    for line in lines[1:]:
+        words = line.split()
+        if words[:1] == ["format"]:
+            kind = words[1]
+        elif words[:1] == ["element"]:
+            inside = words[1] == "vertex"
+            count = int(words[2]) if inside else count
+        elif words[:1] == ["property"] and inside:
+            if words[1] not in _PLY:
+                raise InputError(f"{path}: property {line!r}, expected numbers")
+            fields.append((words[2], _PLY[words[1]]))
+    order = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}.get(kind)
+    if order is None:
+        raise InputError(f"{path}: format {kind!r}, expected ascii or binary")
+    dtype = np.dtype([(name, order + code) for name, code in fields])
+    return _table(path, body, count, dtype, kind == "ascii")
+
+
+def _pcd(path: Path, data: bytes) -> NDArray[np.void]:
+    found: dict[str, list[str]] = {}
+    at = 0
+    while "DATA" not in found:
+        end = data.find(b"\n", at)
+        if end < 0 or len(found) > 40:
+            raise InputError(f"{path}: is no PCD file, it has no line DATA")
+        words = data[at:end].decode("ascii", "replace").split()
+        if words and not words[0].startswith("#"):
+            found[words[0]] = words[1:]
+        at = end + 1
+    try:
+        sizes, kinds, names = found["SIZE"], found["TYPE"], found["FIELDS"]
+        repeats = [int(x) for x in found.get("COUNT", ["1"] * len(names))]
+        code = {"F": "f", "I": "i", "U": "u"}
+        dtype = np.dtype([(n, f"<{code[k]}{s}") if r == 1 else (n, f"<{code[k]}{s}", (r,))
+                          for n, k, s, r in zip(names, kinds, sizes, repeats, strict=True)])  # fmt: skip
+        count = int(found["POINTS"][0])
+    except (KeyError, ValueError, IndexError) as error:
+        raise InputError(f"{path}: header without or with a wrong {error}") from None
+    if found["DATA"] not in (["ascii"], ["binary"]):
+        raise InputError(f"{path}: DATA {' '.join(found['DATA'])}, expected ascii or binary")
+    return _table(path, data[at:], count, dtype, found["DATA"] == ["ascii"])
+
+
+def _table(path: Path, body: bytes, count: int, dtype: np.dtype, text: bool) -> NDArray[np.void]:
+    if not text:
+        if len(body) < count * dtype.itemsize:
+            raise InputError(f"{path}: {len(body)} bytes of points, expected {count * dtype.itemsize}")
+        return np.frombuffer(body[: count * dtype.itemsize], dtype)
+    rows = [tuple(line.split()) for line in body.decode("ascii", "replace").splitlines() if line.strip()][:count]
+    wrong = next((i for i, row in enumerate(rows) if len(row) != len(dtype.names or ())), None)
+    if len(rows) < count or wrong is not None:
+        raise InputError(f"{path}: {len(rows)} rows of points, expected {count} of {len(dtype.names or ())} numbers")
+    try:
+        return np.array([tuple(float(x) for x in row) for row in rows], dtype)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+__all__ = ["SUFFIXES", "Cloud", "read_cloud", "write_cloud"]

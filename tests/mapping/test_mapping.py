@@ -1,0 +1,221 @@
+"""Voxel maps against dictionaries and SciPy's tree, planes against LAPACK."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from jaxest import mapping
+from jaxest.mapping.layout import grid
+from jaxest.mapping.planes import eigenvalues
+from jaxest.types import InputError
+
+HASHED = mapping.Hashed(0.2)
+DENSE = grid(np.array([-2.5, -2.5, -2.5]), np.array([2.5, 2.5, 2.5]), 0.2)
+
+
+def walls(seed, count):
+    """Points on the walls of a cube of 4 m."""
+    random = np.random.default_rng(seed)
+    point = random.uniform(-2, 2, (count, 3))
+    axis = random.integers(0, 3, count)
+    point[np.arange(count), axis] = np.sign(point[np.arange(count), axis]) * 2
+    return point
+
+
+@partial(jax.jit, static_argnums=0, static_argnames=("central", "most"))
+def put(layout, chart, point, valid, extra, central=False, most=1000.0):
+    return mapping.insert(layout, chart, point, valid, extra, central=central, most=most)
+
+
+@pytest.fixture(params=[HASHED, DENSE], ids=["hashed", "dense"])
+def layout(request):
+    return request.param
+
+
+def filled(layout, dtype, batches=4, capacity=4096):
+    chart = mapping.empty(layout, capacity, 2, dtype)
+    points = [walls(seed, 300).astype(dtype) for seed in range(batches)]
+    for point in points:
+        chart = put(layout, chart, point, np.ones(300, bool), point[:, :2] * 3)
+    return chart, np.concatenate(points)
+
+
+def test_a_voxel_holds_the_mean_of_its_points_and_of_what_they_carry(layout, dtype):
+    chart, points = filled(layout, dtype)
+    cells = {}
+    for point in points:
+        cells.setdefault(tuple(np.floor(point / dtype.type(0.2)).astype(int)), []).append(point)
+    used = int(chart.used)
+    assert used == len(cells)
+    assert int(chart.overflow) == 0
+    found = np.asarray(chart.point)[:used]
+    expected = np.array([np.mean(group, axis=0) for group in cells.values()])
+    distance, nearest = cKDTree(expected).query(found)
+    tolerance = 30 * np.finfo(dtype).eps
+    assert distance.max() < tolerance
+    assert len(set(nearest)) == used
+    np.testing.assert_allclose(mapping.carried(chart)[:used], found[:, :2] * 3, atol=10 * tolerance)
+    assert found.dtype == dtype
+
+
+def test_invalid_points_change_nothing(layout):
+    chart, points = filled(layout, np.dtype("float32"))
+    half = np.arange(300) % 2 == 0
+    one = put(layout, chart, points[:300], half, points[:300, :2])
+    other = put(layout, chart, np.where(half[:, None], points[:300], 1e6), half, points[:300, :2])
+    jax.tree.map(np.testing.assert_array_equal, one, other)
+    assert float(one.total[:, 3].sum() - chart.total[:, 3].sum()) == 150
+
+
+def test_what_finds_no_room_is_counted():
+    chart = mapping.empty(HASHED, 10)
+    chart = put(HASHED, chart, walls(0, 300).astype(np.float32), np.ones(300, bool), None)
+    assert int(chart.used) == 10
+    assert int(chart.overflow) + int(chart.total[:, 3].sum()) == 300
+    full = chart
+    chart = put(HASHED, chart, walls(1, 300).astype(np.float32), np.ones(300, bool), None)
+    assert int(chart.used) == 10
+    assert int(chart.overflow) + int(chart.total[:, 3].sum()) == 600
+    np.testing.assert_array_equal(full.slot, chart.slot)
+    # Another place that folds onto a slot in use, 12.8 m further.
+    far = np.asarray(full.point[:1]) + np.array([[12.8, 0, 0]], np.float32)
+    after = put(HASHED, mapping.empty(HASHED, 10), np.asarray(full.point[:1]), np.ones(1, bool), None)
+    after = put(HASHED, after, far, np.ones(1, bool), None)
+    assert (int(after.used), int(after.overflow)) == (1, 1)
+    outside = put(DENSE, mapping.empty(DENSE, 10), np.full((3, 3), 4.0, np.float32), np.ones(3, bool), None)
+    assert (int(outside.used), int(outside.overflow)) == (0, 3)
+
+
+def test_means_forget_beyond_their_most():
+    chart = mapping.empty(HASHED, 4)
+    for value in [0.05] * 40 + [0.15] * 40:
+        point = np.array([[value, 0.1, 0.1]], np.float32)
+        chart = put(HASHED, chart, point, np.ones(1, bool), None, most=4.0)
+    assert float(chart.total[0, 3]) <= 8
+    assert float(chart.point[0, 0]) > 0.145
+
+
+def test_the_central_point_stays():
+    chart = mapping.empty(HASHED, 100, 1)
+    random = np.random.default_rng(0)
+    points = random.uniform(0, 0.4, (5, 64, 3)).astype(np.float32)
+    for batch in points:
+        chart = put(HASHED, chart, batch, np.ones(64, bool), batch[:, :1], central=True)
+    every = points.reshape(-1, 3)
+    cell = np.floor(every / np.float32(0.2))
+    off = np.linalg.norm(every - (cell + 0.5) * 0.2, axis=1)
+    for row in range(int(chart.used)):
+        mine = np.all(cell == np.floor(np.asarray(chart.point[row]) / np.float32(0.2)), axis=1)
+        np.testing.assert_array_equal(chart.point[row], every[mine][np.argmin(off[mine])])
+    np.testing.assert_array_equal(mapping.carried(chart)[:8, 0], chart.point[:8, 0])
+
+
+def test_neighbours_are_those_of_a_tree(layout, dtype):
+    """Within two voxels all of them; ties closer than a part in 65,000 may change places."""
+    chart, _ = filled(layout, dtype)
+    points = np.asarray(chart.point)[: int(chart.used)]
+    query = (walls(9, 200) + np.random.default_rng(9).normal(0, 0.05, (200, 3))).astype(dtype)
+    found = jax.jit(partial(mapping.nearest, layout, cap=0.4))(chart, query)
+    distance, _ = cKDTree(points).query(query, 5, distance_upper_bound=0.4)
+    ours = np.linalg.norm(np.asarray(chart.point)[np.asarray(found.row)] - query[None], axis=2).T
+    np.testing.assert_array_equal(np.asarray(found.there).T, np.isfinite(distance))
+    np.testing.assert_allclose(np.where(np.isfinite(distance), ours, 0), np.where(np.isfinite(distance), distance, 0),
+                               rtol=2e-5, atol=1e-6)  # fmt: skip
+    nothing = jax.jit(partial(mapping.nearest, layout))(chart, np.zeros((3, 3), dtype))
+    assert not np.asarray(nothing.there).any()
+
+
+def test_the_neighbourhood_is_bounded():
+    with pytest.raises(ValueError, match="reach: got 3"):
+        mapping.nearest(HASHED, mapping.empty(HASHED, 1), jnp.zeros((1, 3)), reach=3)
+    with pytest.raises(ValueError, match="capacity: got 0"):
+        mapping.empty(HASHED, 0)
+    with pytest.raises(InputError, match="powers of two"):
+        mapping.Hashed(0.2, (60, 64, 32))
+    with pytest.raises(InputError, match="beyond lower"):
+        grid(np.zeros(3), -np.ones(3))
+
+
+def test_planes_are_those_of_lapack(dtype):
+    """Also through the origin, far from it, and thin; both eigenvalues within some eps of the largest."""
+    random = np.random.default_rng(0)
+    turns = np.linalg.qr(random.normal(size=(200, 3, 3)))[0]
+    flat = random.uniform(-2, 2, (200, 5, 3)) * np.array([0.2, 0.15, 0.004])
+    points = (
+        np.einsum("nij,nkj->nki", turns, flat)
+        + random.uniform(-3, 3, (200, 1, 3)) * (np.arange(200) % 2)[:, None, None]
+    )
+    points = points.astype(dtype)
+    given = tuple(points[:, :, i].T for i in range(3))
+    planes = jax.jit(mapping.fit)(given, np.ones((5, 200), bool))
+    centred = points.astype(float) - points.astype(float).mean(1, keepdims=True)
+    values, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred) / 5)
+    cosine = np.abs(np.sum(np.asarray(planes.normal) * vectors[:, :, 0], axis=1))
+    eps = np.finfo(dtype).eps
+    gap = (values[:, 1] - values[:, 0]) / values[:, 2]
+    assert np.all(1 - cosine < 200 * eps / gap**2)
+    np.testing.assert_allclose(np.asarray(planes.thickness) ** 2, values[:, 0], atol=30 * eps * values[:, 2].max())
+    np.testing.assert_allclose(np.asarray(planes.spread) ** 2, values[:, 1], atol=30 * eps * values[:, 2].max())
+    np.testing.assert_allclose(planes.center, points.mean(1), atol=10 * eps)
+    np.testing.assert_array_equal(planes.valid, np.sqrt(values[:, 1]) > 0.03)
+    assert planes.normal.dtype == dtype
+
+
+def test_lines_and_too_few_points_are_no_planes():
+    line = np.linspace(0, 0.5, 5)[:, None] * np.array([[1.0, 0.3, -0.2]])
+    given = tuple(jnp.asarray(line[:, i : i + 1]) for i in range(3))
+    assert not bool(mapping.fit(given, jnp.ones((5, 1), bool)).valid[0])
+    square = np.array([[0, 0, 0], [0.2, 0, 0], [0, 0.2, 0], [0.2, 0.2, 0], [9, 9, 9]])
+    given = tuple(jnp.asarray(square[:, i : i + 1]) for i in range(3))
+    there = jnp.array([[True], [True], [True], [True], [False]])
+    found = mapping.fit(given, there)
+    assert bool(found.valid[0])
+    np.testing.assert_allclose(np.abs(found.normal[0]), [0, 0, 1], atol=1e-6)
+    assert not bool(mapping.fit(given, there & (jnp.arange(5)[:, None] < 2)).valid[0])
+
+
+def test_planes_have_derivatives_also_where_they_are_exact(x64):
+    """The squared distance of a point from the plane of its neighbours, against finite differences."""
+    points = np.array([[0, 0, 0], [0.2, 0, 0.01], [0, 0.2, 0], [0.2, 0.2, 0], [0.1, 0.1, 0.02]])
+
+    def away(points):
+        plane = mapping.fit(tuple(points[:, i : i + 1] for i in range(3)), jnp.ones((5, 1), bool))
+        return jnp.sum(plane.normal[0] * (jnp.array([0.1, 0.2, 0.3]) - plane.center[0])) ** 2
+
+    slope = jax.grad(away)(jnp.asarray(points))
+    for index in np.ndindex(5, 3):
+        step = np.zeros((5, 3))
+        step[index] = 1e-6
+        difference = (away(points + step) - away(points - step)) / 2e-6
+        np.testing.assert_allclose(slope[index], difference, atol=1e-7)
+    points[:, 2] = 0
+    assert np.isfinite(jax.grad(away)(jnp.asarray(points))).all()
+    low, middle = eigenvalues(tuple(jnp.zeros(1) for _ in range(6)))
+    assert (float(low[0]), float(middle[0])) == (0, 0)
+
+
+def test_merging_is_inserting_all(layout):
+    one, _ = filled(layout, np.dtype("float32"), 2)
+    other = mapping.empty(layout, 2048, 2)
+    more = walls(77, 300).astype(np.float32)
+    other = put(layout, other, more, np.ones(300, bool), more[:, :2] * 3)
+    merged = jax.jit(partial(mapping.merge, layout))(one, other)
+    both = put(layout, one, more, np.ones(300, bool), more[:, :2] * 3)
+    assert int(merged.used) == int(both.used)
+    ours, theirs = (np.asarray(c.point)[: int(c.used)] for c in (merged, both))
+    distance, index = cKDTree(theirs).query(ours)
+    assert distance.max() < 1e-5
+    np.testing.assert_allclose(mapping.carried(merged)[: len(ours)], mapping.carried(both)[index], atol=1e-4)
+
+
+def test_a_shifted_map_is_the_map_of_shifted_points():
+    chart, _ = filled(HASHED, np.dtype("float32"))
+    moved = mapping.shift(chart, np.full((4096, 3), 0.01, np.float32))
+    used = int(chart.used)
+    np.testing.assert_allclose(moved.point[:used], chart.point[:used] + 0.01, atol=1e-6)
+    assert not np.asarray(moved.point[used:]).any()
+    np.testing.assert_allclose(moved.total[:used, :3] / moved.total[:used, 3:4], moved.point[:used], atol=2e-6)
