@@ -20,11 +20,12 @@ from jaxest.types import InputError, unknown_name
 PAPERS = {
     "sato2023": "jaxest.reproduce.sato2023",
     "sato2024": "jaxest.reproduce.sato2024",
+    "iwao2025": "jaxest.reproduce.iwao2025",
     "zakeri2023": "jaxest.reproduce.zakeri2023",
     "santaera2015": "jaxest.reproduce.santaera2015",
 }
 """Name of a paper whose figures can be computed, and the module that holds them."""
-COMING = ("iwao2025",)
+COMING: tuple[str, ...] = ()
 
 
 class Choice(NamedTuple):

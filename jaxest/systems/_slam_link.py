@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxest.filters.kalman import information_gain
 from jaxest.filters.kalman.factors import reanchor
@@ -14,6 +15,8 @@ from jaxest.systems._slam_body import Body, Mean
 from jaxest.systems._slam_rows import Points, Pose, Sums, match, moved, point_slope, sums, world
 from jaxest.types import Array
 
+TRIALS = np.linspace(-2.5, 2.5, 21)  # deviations of a bias at which a link is tried
+DOUBT = 0.05  # rad or m: a bias known worse is tried
 STEP = 5e-3  # m or rad: planes are looked for again when a link has moved by more
 BEND = 1e-3  # rad or m: the map is bent at once when a bias has changed by more, and at the end of the step anyway
 REACH = 1.0  # m, at which a rotation counts as a motion
@@ -41,6 +44,8 @@ class Carry(NamedTuple):
     chart: VoxelMap
     reference: Array
     """(n,) biases at which the map's points stand."""
+    links: bodies.Links
+    """Of the scanned links, at the mean."""
 
 
 class Seen(NamedTuple):
@@ -49,6 +54,8 @@ class Seen(NamedTuple):
     sums: Sums
     explained: Array
     """() chi-square of the rows that count, after the update."""
+    surprise: Array
+    """() squared length of the correction in the prediction's deviations, by the state's dimension."""
     rounds: Array
     """() int32, searches for planes."""
     settled: Array
@@ -81,14 +88,13 @@ def walk(
 
     def link(carry: Carry, row: tuple[Array, Points]) -> tuple[Carry, Seen]:
         at, mine = row
-        here = _pose(bodies.links(body, carry.mean, reading, body.scanned), at)
-        some = jax.tree.map(lambda x: subset(x, parts, turn), mine)
+        here = _pose(carry.links, at)
         slope = jnp.concatenate([here.turn, here.travel])[:, roots:]
         own = jnp.concatenate([jnp.full(3, params.jitter_rotation**2), jnp.full(3, params.jitter_position**2)])
         spare = product(slope * noise[None], slope.T) + jnp.diag(own.astype(slope.dtype))
-        carry, seen = _register(body, config, params, carry, here, some, spare)
-        here = _pose(bodies.links(body, carry.mean, reading, body.scanned), at)
-        return _learn(config, params, carry, here, mine, seen, roots)
+        carry, seen = _register(body, config, params, carry, here, mine, spare, parts, turn)
+        carry = carry._replace(links=bodies.links(body, carry.mean, reading, body.scanned))
+        return _learn(config, params, carry, _pose(carry.links, at), mine, seen, roots)
 
     return jax.lax.scan(link, start, (jnp.arange(len(body.scanned)), points))
 
@@ -104,45 +110,89 @@ def _pose(links: bodies.Links, at: Array) -> Pose:
     return Pose(*(jax.lax.dynamic_index_in_dim(x, at, keepdims=False) for x in links))
 
 
+class Fit(NamedTuple):
+    """One search for planes, and what the update made of it."""
+
+    correction: Array
+    """(D,) from the prediction."""
+    covariance: Array
+    sums: Sums
+    explained: Array
+    surprise: Array
+    misfit: Array
+    """() of the points where they were looked for."""
+
+
 def _register(
-    body: Body, config: Config, params: Any, carry: Carry, pose: Pose, points: Points, spare: Array
-) -> tuple[Carry, Seen]:
-    """Iterate plane search and update until the link stays where it is."""
-    mean, covariance, chart, reference = carry
+    body: Body, config: Config, params: Any, carry: Carry, pose: Pose, points: Points, spare: Array,
+    parts: int, turn: Array,
+) -> tuple[Carry, Seen]:  # fmt: skip
+    """Iterate plane search and update until the link stays where it is, from the best of several starts at first.
+
+    A joint of unknown bias is tried at biases over its whole prior, with all zones: from the middle of it planes two
+    metres off are missed by more than lies between one and the next, and the update ends in the wrong one.
+    """
+    mean, covariance = carry.mean, carry.covariance
     roots = body.size - len(body.joints)
 
-    def once(v: Array) -> tuple[Array, Array, Sums, Array]:
-        offset = mean.bias + v[roots:] - reference
-        rows = match(config.layout, chart, params, moved(pose, v), points, offset, roots)
-        found = sums(rows, points, spare)
+    def once(v: Array, turn: Array) -> Fit:
+        some = jax.tree.map(lambda x: subset(x, parts, turn), points)
+        offset = mean.bias + v[roots:] - carry.reference
+        rows = match(config.layout, carry.chart, params, moved(pose, v), some, offset, roots)
+        found = sums(rows, some, spare)
         enough = found.inliers >= config.least
         information = jnp.where(enough, found.information, 0)
         pull = jnp.where(enough, found.pull, 0)
         gained = information_gain(covariance, information, pull + product(information, v))
         step = gained.correction - v
         explained = found.square + jnp.sum(step * (product(information, step) - 2 * pull))
-        return gained.correction, gained.covariance, found, explained
+        surprise = jnp.sum(gained.correction * gained.dual) / body.size
+        return Fit(gained.correction, gained.covariance, found, explained, surprise, rows.misfit)
 
     def size(v: Array) -> Array:
+        v = jax.lax.stop_gradient(v)
         turned, travelled = product(pose.turn, v), product(pose.travel, v)
         return jnp.max(jnp.abs(travelled)) + REACH * jnp.max(jnp.abs(turned))
 
-    def again(state: Any, _: None) -> tuple[Any, None]:
-        result, last, count = state
-        far = size(jax.lax.stop_gradient(result[0] - last)) > STEP
-        new = jax.lax.cond(far, lambda: once(result[0]), lambda: result)
-        return (new, jnp.where(far, result[0], last), count + far.astype(jnp.int32)), None
+    direction, unknown = _doubt(covariance, pose, roots)
 
-    zero = jnp.zeros(body.size, covariance.dtype)
-    first = (once(zero), zero, jnp.int32(1))
-    (result, last, count), _ = jax.lax.scan(again, first, None, length=config.rounds - 1)
-    v, after, found, explained = result
+    def again(state: Any, row: tuple[Array, Array, Array]) -> tuple[Any, None]:
+        fit, last, (least, best, total), count = state
+        offset, part, trial = row
+        start = jnp.where(trial, offset * direction, jnp.where(count == 0, best, fit.correction))
+        needed = jnp.where(trial, unknown, (count == 0) | (size(fit.correction - last) > STEP))
+        new = jax.lax.cond(needed, lambda: once(start, jnp.where(trial, part, turn)), lambda: fit)
+        total = jnp.where(part == 0, 0, total) + new.misfit
+        better = trial & needed & (part == parts - 1) & (total < least)
+        found = (jnp.where(better, total, least), jnp.where(better, start, best), total)
+        worked = needed & ~trial
+        return (new, jnp.where(worked, start, last), found, count + worked.astype(jnp.int32)), None
+
+    # Trials and iterations are one scan, so that their program is there once.
+    zero, none = jnp.zeros(body.size, covariance.dtype), jnp.int32(0)
+    nothing = Sums(jnp.zeros_like(covariance), zero, zero[0], jnp.zeros_like(spare), none, none, none)
+    first = (Fit(zero, covariance, nothing, zero[0], zero[0], zero[0]), zero, (zero[0] + jnp.inf, zero, zero[0]), none)
+    offsets = jnp.asarray(np.concatenate([np.repeat(TRIALS, parts), np.zeros(config.rounds)]), zero.dtype)
+    trial = np.arange(len(offsets)) < len(TRIALS) * parts
+    rows = (offsets, jnp.asarray(np.arange(len(offsets)) % parts), jnp.asarray(trial))
+    (fit, last, _, count), _ = jax.lax.scan(again, first, rows)
+    v, after = fit.correction, fit.covariance
     if body.root is not None:
-        turn = reanchor(bodies.manifold(body), mean, v, bodies.retract(body, mean, v))
-        after = symmetric(sandwich(turn, after))
+        frame = reanchor(bodies.manifold(body), mean, v, bodies.retract(body, mean, v))
+        after = symmetric(sandwich(frame, after))
     settled = size(v - last) <= 4 * STEP
-    done = rebased(Carry(bodies.retract(body, mean, v), after, chart, reference))
-    return done, Seen(found, explained, count, settled, jnp.bool_(True))
+    done = rebased(carry._replace(mean=bodies.retract(body, mean, v), covariance=after))
+    return done, Seen(fit.sums, fit.explained, fit.surprise, count, settled, jnp.bool_(True))
+
+
+def _doubt(covariance: Array, pose: Pose, roots: int) -> tuple[Array, Array]:
+    """Return how the state moves (D,) with the least known bias that moves a link, per deviation; is that much?"""
+    moves = jnp.sum(pose.turn**2 + pose.travel**2, axis=0) > 0
+    bias = jnp.arange(len(moves)) >= roots
+    variance = jnp.where(moves & bias, jnp.diagonal(covariance), 0)
+    column = jax.lax.dynamic_index_in_dim(covariance, jnp.argmax(variance), axis=1, keepdims=False)
+    deviation = jnp.sqrt(jnp.where(jnp.max(variance) > 0, jnp.max(variance), 1))
+    return jax.lax.stop_gradient(column / deviation), jnp.max(variance) > DOUBT**2
 
 
 def _learn(

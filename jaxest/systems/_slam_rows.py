@@ -49,6 +49,8 @@ class Rows(NamedTuple):
     """(n,) 1/m2; 0 where a row does not count."""
     matched: Array
     """(n,) bool, points with a plane beside them, whatever the residual."""
+    misfit: Array
+    """() how badly the points fit in all: squared residuals in units of the gate, 1 for each that does not fit."""
 
 
 class Sums(NamedTuple):
@@ -123,11 +125,16 @@ def match(layout: Layout, chart: VoxelMap, params: Any, pose: Pose, points: Poin
     residual = jnp.sum(n * away, axis=1) - product(along, offset)
     arm = x - pose.position[None]
     lever = jnp.concatenate([jnp.cross(arm, n), n], axis=1)
-    inside = found & (residual**2 < params.gate**2 * points.reach + (3 * scatter) ** 2)
+    share = residual**2 / (params.gate**2 * points.reach + 9 * scatter**2)
+    inside = found & (share < 1)
+    # Planes of a few readings each are wrong alike for all that is compared with them, and for scans to come.
+    read = jnp.sum(jnp.where(near.there, chart.total[:, 3][near.row], 0), axis=0) / count
     slant = jnp.sum(n * product(points.ray, pose.rotation.T), axis=1)
     variance = params.floor**2 + (scatter * slant) ** 2 + planes.thickness**2
+    variance = variance * (1 + params.fresh / jnp.maximum(read, 1))
     variance = variance + (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0)
-    return Rows(residual, design, lever, jnp.where(inside, 1 / variance, 0), found)
+    misfit = jnp.sum(jnp.where(points.valid, jnp.where(inside, share, 1), 0))
+    return Rows(residual, design, lever, jnp.where(inside, 1 / variance, 0), found, misfit)
 
 
 def sums(rows: Rows, points: Points, spare: Array) -> Sums:

@@ -35,6 +35,7 @@ from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, Readin
 FOLLOWS, LOST, UNSEEN, FULL = 4, 5, 6, 7
 """Status of a link: kept its prediction; its points contradict the map; has no sensors; and of a map that is full."""
 HALF = 0.5  # share of matched points that must fit
+SURPRISE = 9.0  # squared deviations per dimension by which a link's points may correct the prediction
 
 
 class Params(NamedTuple):
@@ -42,24 +43,26 @@ class Params(NamedTuple):
 
     noise: ArrayLike = 0.01 / 2.7
     """() standard deviation of a range, by the range."""
-    floor: ArrayLike = 0.03
+    floor: ArrayLike = 0.025
     """() m, standard deviation of a distance to a plane however near: rows on one plane share its error, and are
     counted for less instead."""
+    fresh: ArrayLike = 5.0
+    """() by how much more a distance's variance is, for a plane of voxels that were read once each."""
     tilt: ArrayLike = 0.0
     """() rad, standard deviation of a sensor's direction about each axis."""
     gate: ArrayLike = 0.04
     """() m^0.5, a residual beyond this times the root of its range, and three times its noise, does not count."""
     thickness: ArrayLike = 0.005
     """() m, of a plane at most, beyond a range's standard deviation."""
-    jitter_position: ArrayLike = 0.001
+    jitter_position: ArrayLike = 0.006
     """() m, standard deviation along each axis of what one scan can place a link to."""
-    jitter_rotation: ArrayLike = 0.0005
+    jitter_rotation: ArrayLike = 0.004
     """() rad, the same of its rotation."""
     bias_start: ArrayLike = 0.1
     """() or (n,) rad or m, standard deviation of a bias before the first scan."""
     bias_walk: ArrayLike = 3e-4
     """() or (n,) rad or m per root s, growth of it."""
-    encoder: ArrayLike = 1e-3
+    encoder: ArrayLike = 1e-4
     """() or (n,) rad or m, white noise of a reading."""
     missing: ArrayLike = 0.1
     """() or (n,) rad or m, how far a joint may be from its last reading while none comes."""
@@ -232,8 +235,9 @@ def _step(
     there = jnp.broadcast_to(measurement.joints.valid, (n,))
     reading = jnp.where(there, measurement.joints.value, state.reading)
     noise = jnp.where(there, params.encoder, params.missing) ** 2 * jnp.ones(n, dtype)
-    mean, covariance = _predict(body, params, state.mean, state.covariance, measurement)
-    start = Carry(mean, covariance, state.chart, state.mean.bias)
+    mean, covariance = _predict(body, params, state.mean, state.covariance, measurement, state.index)
+    links = bodies.links(body, mean, reading, body.scanned)
+    start = Carry(mean, covariance, state.chart, state.mean.bias, links)
     points = points_of(body, measurement.ranges)
     carry, seen = walk(body, config, params, start, reading, noise, points, state.index)
     carry = rebased(carry, 0.0)
@@ -241,13 +245,16 @@ def _step(
     return State(carry.mean, carry.covariance, carry.chart, reading, state.index + 1), info
 
 
-def _predict(body: Body, params: Params, mean: Mean, covariance: Array, measurement: Any) -> tuple[Mean, Array]:
+def _predict(
+    body: Body, params: Params, mean: Mean, covariance: Array, measurement: Any, index: Array
+) -> tuple[Mean, Array]:
     """Let biases walk, and the root go where odometry says or anywhere."""
     n, dt = len(body.joints), jnp.asarray(measurement.dt, covariance.dtype)
     grown = jnp.broadcast_to(params.bias_walk**2, (n,)) * dt
     if body.root is None:
         return mean, covariance + jnp.diag(grown)
-    walk = jnp.broadcast_to(params.root_walk**2, (6,)) * dt
+    # The root's start is `root_start` at the first scan, not a step before it.
+    walk = jnp.broadcast_to(params.root_walk**2, (6,)) * jnp.where(index == 0, 0, dt)
     moved = []
     for reading, deviation, blind in (
         (measurement.travel, params.travel, walk[:3]),
@@ -277,7 +284,7 @@ def _info(
     before: VoxelMap,
 ) -> Info:  # fmt: skip
     mean, covariance = carry.mean, carry.covariance
-    links = bodies.links(body, mean, reading, body.links)
+    links = carry.links if body.links == body.scanned else bodies.links(body, mean, reading, body.links)
     slope = jnp.concatenate([links.turn, links.travel], axis=1)
     roots = body.size - len(body.joints)
     shaken = covariance + jnp.diag(jnp.concatenate([jnp.zeros(roots, noise.dtype), noise]))
@@ -285,7 +292,7 @@ def _info(
     pose = (pose + pose.transpose(0, 2, 1)) / 2
     s = seen.sums
     follows = s.inliers < config.least
-    lost = ~follows & (s.inliers < HALF * s.matched)
+    lost = ~follows & ((s.inliers < HALF * s.matched) | (seen.surprise > SURPRISE))
     link = jnp.full(len(body.links), UNSEEN, jnp.int32)
     link = link.at[np.array(body.scanned)].set(jnp.where(lost, LOST, jnp.where(follows, FOLLOWS, OK)))
     full = carry.chart.overflow > before.overflow

@@ -1,4 +1,4 @@
-"""The paper's whole-body SLAM: a pose and a joint bias for each link, handed from parent to child and from step to step.
+"""The paper's whole-body SLAM: a pose and a joint bias for each link, handed from parent to child and through time.
 
 Each link's 7 numbers have a belief of their own; what links share (eq. 20's dropped cross-covariance, the map's own
 error) is not kept, so that covariances come out too small. `jaxest.systems.slam` keeps it and is the one to use; this
@@ -189,7 +189,7 @@ def _chain(body: Body) -> Chain:
         for column, value in zip((parent, joint, hinge, axis, anchor, offset), found, strict=True):
             column.append(value)  # type: ignore[attr-defined]
     stacked = jax.tree.map(lambda *x: np.stack([np.asarray(v) for v in x]), *offset)
-    return Chain(np.array(parent), np.array(joint), np.array(hinge), np.array(axis), np.array(anchor), stacked)
+    return Chain(np.array(parent), np.array(joint), np.array(hinge), stacked, np.array(axis), np.array(anchor))
 
 
 def init(body: Body, layout: Layout, capacity: int, params: Params, *, key: Array | None = None) -> State:
@@ -317,7 +317,7 @@ def _update(
 
     def again(state: Any, _: None) -> Any:
         result, last, count = state
-        far = jnp.max(jnp.abs(jax.lax.stop_gradient(result[0] - last))) > TURNED
+        far = (count == 0) | (jnp.max(jnp.abs(jax.lax.stop_gradient(result[0] - last))) > TURNED)
         new = jax.lax.cond(far, lambda: once(result[0]), lambda: result)
         return (new, jnp.where(far, result[0], last), count + far.astype(jnp.int32)), None
 

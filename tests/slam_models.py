@@ -1,0 +1,35 @@
+"""A small robot with few zones for tests of whole-body SLAM: hinges about three axes, a slide, a branch."""
+
+import numpy as np
+
+from jaxest import kinematics
+from jaxest.mapping import Hashed
+from jaxest.sensors.proximity import ring
+from jaxest.systems import slam
+
+TREE = """<mujoco model="tree"><worldbody><body name="root">{joint}<geom size="0.03"/>
+<body name="a" pos="0.4 0 0"><joint name="ja" axis="0 0 1"/><geom size="0.03"/>
+<body name="b" pos="0.4 0 0"><joint name="jb" axis="0 1 0"/><geom size="0.03"/>
+<body name="tool" pos="0.2 0 0"><joint name="js" type="slide" axis="1 0 0"/><geom size="0.03"/></body></body></body>
+<body name="c" pos="0 0.3 0.1"><joint name="jc" axis="0.6 0 0.8"/><geom size="0.03"/><site name="tip" pos="0.1 0 0"/>
+</body></body></worldbody></mujoco>"""
+
+
+def robot(free=False):
+    """Load the tree; its root is fixed or free."""
+    return kinematics.load(TREE.format(joint="<freejoint/>" if free else ""))
+
+
+def sensors(rows=3, columns=3):
+    """Rings on the root, a, b and a site of c; none on the tool."""
+    return [s for frame in ("root", "a", "b", "site:tip") for s in ring(frame, 0.1, rows=rows, columns=columns)]
+
+
+def build(free=False, system=slam, **options):
+    """Build a SLAM of the tree with a small map; every zone takes part in each update."""
+    return system.build(robot(free), sensors(), layout=Hashed(0.25, (32, 32, 16)), capacity=1500, points=72, **options)
+
+
+def errors(info, truth):
+    """Distance of every body from the truth, (T, B) m."""
+    return np.linalg.norm(np.asarray(info.position) - np.asarray(truth.position), axis=2)

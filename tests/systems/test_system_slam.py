@@ -1,0 +1,294 @@
+"""Whole-body SLAM on a small tree: biases are found, covariances hold, what cannot be known is said."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from slam_models import build, errors, robot, sensors
+
+from jaxest.filters import run
+from jaxest.manifolds import quaternion, so3
+from jaxest.sensors.proximity import Proximity, ring
+from jaxest.simulate import boxes
+from jaxest.systems import _slam_body as bodies
+from jaxest.systems import slam, slam_chain
+from jaxest.systems._slam_rows import Points, Pose, match, moved, point_slope, sums, world
+from jaxest.types import NON_FINITE, OK, InputError, Reading
+
+QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+STEPS = 25
+
+
+@pytest.fixture(scope="module")
+def fixed():
+    return build()
+
+
+@pytest.fixture(scope="module")
+def driven(fixed):
+    """`(params, state, measurements) -> (state, infos)`, compiled once."""
+    return jax.jit(partial(run, fixed.step), compiler_options=QUICK)
+
+
+def drawn(system, seed, **options):
+    draw = partial(system.simulate, system.default_params, steps=STEPS, **options)
+    return jax.jit(lambda key: draw(key=key), compiler_options=QUICK)(jax.random.key(seed))
+
+
+@pytest.fixture(scope="module")
+def scene(fixed):
+    return drawn(fixed, 0)
+
+
+@pytest.fixture(scope="module")
+def outcome(fixed, driven, scene):
+    return driven(fixed.default_params, fixed.init(fixed.default_params), scene[0])
+
+
+def test_biases_of_hinges_and_a_slide_are_found(outcome, scene):
+    """72 zones a link, noise of 1 %: a twentieth of a radian everywhere, also on the branch."""
+    _, info = outcome
+    away = errors(info, scene[1])
+    assert np.all(np.asarray(info.status) == OK)
+    assert away[-5:].max() < 0.02
+    seen = [0, 1, 3]  # the slide's link has no sensor: nothing tells its bias
+    assert np.abs(np.asarray(info.bias)[-1, [0, 1, 3]] - 0.05).max() < 0.01
+    assert np.all(np.asarray(info.bias_deviation)[-1, seen] < 0.02)
+    assert np.asarray(info.bias_deviation)[-1, 2] > 0.09
+
+
+def test_a_link_without_sensors_follows_its_joint_and_says_so(outcome, scene):
+    _, info = outcome
+    names = list(robot().topology.body_names)
+    status = np.asarray(info.link_status)
+    assert np.all(status[:, names.index("tool")] == slam.UNSEEN)
+    assert np.all(status[1:, names.index("b")] == OK)
+    assert info.inliers.shape[1] == 4
+    place = np.asarray(info.position)[-1]
+    truth = np.asarray(scene[1].position)[-1]
+    away = np.linalg.norm(place[names.index("tool")] - truth[names.index("tool")])
+    assert 0.03 < away < 0.08  # the slide's own bias of 5 cm
+    spread = np.asarray(info.pose_covariance)[-1, names.index("tool"), 3:, 3:]
+    assert np.sqrt(np.trace(spread)) > 0.09
+
+
+def test_the_map_lies_on_the_walls(outcome):
+    from jaxest.systems._slam_simulation import ROOM
+
+    state, _ = outcome
+    points = state.chart.point[: int(state.chart.used)]
+    away = np.asarray(boxes.surface(ROOM, points))
+    assert len(points) > 200
+    assert np.mean(away < 0.05) > 0.95
+
+
+def test_biases_lie_within_their_deviations(fixed, driven):
+    """Over 12 rooms' worth of noise and motion; 36 values of which 99.7 % would lie within 3, none may beyond 6."""
+    found = []
+    for seed in range(12):
+        measurements, _ = drawn(fixed, 100 + seed)
+        _, info = driven(fixed.default_params, fixed.init(fixed.default_params), measurements)
+        deviation = np.asarray(info.bias_deviation)[-1, [0, 1, 3]]
+        found.append((np.asarray(info.bias)[-1, [0, 1, 3]] - 0.05) / deviation)
+    squared = np.square(found)
+    # The mean of 36 squared standard normals is 1 +- 0.24; correlated residuals leave room for twice too bold.
+    assert squared.mean() < 2.5
+    assert squared.max() < 36
+
+
+def test_nothing_seen_leaves_the_prediction(fixed, driven, scene):
+    measurements, _ = scene
+    blind = measurements._replace(ranges=Reading(measurements.ranges.value, np.zeros_like(measurements.ranges.valid)))
+    state, info = driven(fixed.default_params, fixed.init(fixed.default_params), blind)
+    assert np.all(np.asarray(info.bias) == 0)
+    np.testing.assert_allclose(info.joints, measurements.joints.value, atol=1e-6)
+    assert int(state.chart.used) == 0
+    status = np.asarray(info.link_status)
+    assert np.all(np.isin(status, [slam.FOLLOWS, slam.UNSEEN]))
+    assert np.all(np.diff(np.asarray(info.bias_deviation)[:, 0]) > 0)
+    assert np.all(np.asarray(info.weakest) == 0)
+
+
+def test_bad_readings_are_left_out(fixed, driven, scene):
+    """NaN is told; zones beyond their limits are as good as masked."""
+    measurements, _ = scene
+    value, valid = (np.array(x) for x in measurements.ranges)
+    valid[3:, ::7] = False
+    masked = measurements._replace(ranges=Reading(value, valid))
+    start = fixed.init(fixed.default_params)
+    _, expected = driven(fixed.default_params, start, masked)
+    for bad in (9.0, 0.01, -1.0, np.nan):
+        spoiled = value.copy()
+        spoiled[3:, ::7] = bad
+        given = measurements._replace(ranges=Reading(spoiled, np.array(measurements.ranges.valid)))
+        _, info = driven(fixed.default_params, start, given)
+        np.testing.assert_allclose(info.bias, expected.bias, atol=1e-6)
+        wrong = np.asarray(info.status) != OK
+        assert np.all(np.asarray(info.status)[wrong] == NON_FINITE)
+        assert wrong.sum() == (STEPS - 3 if np.isnan(bad) else 0)
+
+
+def test_a_full_map_is_told():
+    system = build()
+    small = system._replace(init=partial(system.init.func, *system.init.args[:2], 100))
+    measurements, _ = drawn(system, 0)
+    state, info = jax.jit(partial(run, system.step), compiler_options=QUICK)(
+        system.default_params, small.init(system.default_params), jax.tree.map(lambda x: x[:5], measurements)
+    )
+    assert int(state.chart.used) == 100
+    assert np.all(np.asarray(info.status) == slam.FULL)
+    assert np.all(np.diff(np.asarray(info.overflow)) > 0)
+    assert np.isfinite(np.asarray(info.position)).all()
+
+
+def test_a_robot_that_was_carried_away_is_flagged(fixed, driven, scene):
+    """Half a metre to the side between two steps: the points contradict the map, and that is said."""
+    measurements, _ = scene
+    room = boxes.Boxes((-1.5, -1.5, -1.2), (3.0, 2.2, 1.4), ((1.0, -1.0, -0.8), (0.6, 1.9, 0.3)), ((0.4,) * 3,) * 2)
+    moved_room, _ = drawn(fixed, 0, room=room)
+    value = np.array(measurements.ranges.value)
+    value[12:] = np.asarray(moved_room.ranges.value)[12:]
+    given = measurements._replace(ranges=Reading(value, measurements.ranges.valid))
+    _, info = driven(fixed.default_params, fixed.init(fixed.default_params), given)
+    status = np.asarray(info.link_status)[:, [0, 1, 2, 4]]
+    assert np.all(status[3:12] == OK)
+    assert np.mean(np.isin(status[12:15], [slam.LOST, slam.FOLLOWS])) > 0.5
+
+
+def test_a_missing_encoder_is_no_zero(fixed, driven, scene):
+    measurements, truth = scene
+    there = np.array(measurements.joints.valid)
+    there[10:14, 1] = False
+    value = np.where(there, measurements.joints.value, np.nan)
+    _, info = driven(fixed.default_params, fixed.init(fixed.default_params),
+                     measurements._replace(joints=Reading(value, there)))  # fmt: skip
+    assert np.all(np.asarray(info.status) == OK)
+    assert errors(info, truth)[-3:].max() < 0.02
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_a_free_root_is_followed(odometry):
+    """It drifts by some cm; with odometry also while nothing is seen."""
+    system = build(free=True)
+    measurements, truth = drawn(system, 3, odometry=odometry)
+    valid = np.array(measurements.ranges.valid)
+    if odometry:
+        valid[15:18] = False
+    measurements = measurements._replace(ranges=Reading(measurements.ranges.value, valid))
+    step = jax.jit(partial(run, system.step), compiler_options=QUICK)
+    _, info = step(system.default_params, system.init(system.default_params), measurements)
+    moves = np.linalg.norm(truth.position[-1, 0] - truth.position[0, 0])
+    away = errors(info, truth)
+    assert moves > 0.02
+    assert away[:, 0].max() < 0.03
+    assert away[-5:].max() < 0.03
+    spread = np.asarray(info.pose_covariance)[:, 0]
+    assert np.all(np.linalg.eigvalsh(spread)[1:, 0] > 0)
+
+
+def test_the_papers_filter_is_right_on_its_own_ground():
+    """The same biases; its covariances are smaller than errors, which is why it is not the default."""
+    one = [s for frame in ("root", "a", "b") for s in ring(frame, 0.1, rows=3, columns=3)]
+    system = slam_chain.build(robot(), one, points=72, capacity=1500)
+    measurements, truth = drawn(system, 0)
+    step = jax.jit(partial(run, system.step), compiler_options=QUICK)
+    state, info = step(system.default_params, system.init(system.default_params), measurements)
+    assert np.all(np.asarray(info.status) == OK)
+    place = np.asarray(truth.position)[:, :3]
+    away = np.linalg.norm(np.asarray(info.position) - place, axis=2)
+    assert away[-5:].max() < 0.05
+    assert int(state.index) == STEPS
+    assert np.linalg.eigvalsh(np.asarray(info.covariance)).min() > -1e-6
+    with pytest.raises(InputError, match="expected one joint between"):
+        slam_chain.build(robot(), ring("tool", 0.1))
+
+
+def test_rows_are_the_derivatives_of_their_residuals(x64):
+    """Against finite differences of a plane through fixed neighbours, by the state and by the link alone."""
+    random = np.random.default_rng(0)
+    layout, chart = _wall(random)
+    pose = Pose(*(jnp.asarray(x) for x in (random.normal(size=3) * 0.1, np.eye(3), random.normal(size=(3, 4)),
+                                           random.normal(size=(3, 4)))))  # fmt: skip
+    local = np.column_stack([1 - pose.position[0] + np.zeros(6), random.uniform(-0.5, 0.5, (6, 2))])
+    ray = local / np.linalg.norm(local, axis=1, keepdims=True)
+    points = Points(*(jnp.asarray(x) for x in (local, ray, np.ones(6), np.ones(6, bool))))
+
+    def rows(v):
+        return match(layout, chart, slam.Params(), moved(pose, v), points, jnp.asarray(v[1:]), 1)
+
+    at = rows(jnp.zeros(4))
+    assert np.asarray(at.matched).all()
+    for k in range(4):
+        v = np.zeros(4)
+        v[k] = 1e-6
+        slope = (rows(jnp.asarray(v)).residual - rows(-jnp.asarray(v)).residual) / 2e-6
+        np.testing.assert_allclose(at.design[:, k], slope, atol=1e-8)
+    x = world(pose, points.local)
+    for k in range(3):
+        turned = so3.exp(jnp.zeros(3).at[k].set(1e-6)) @ (x - pose.position).T
+        slope = (np.asarray(turned).T + np.asarray(pose.position) - x) @ np.array([1.0, 0, 0]) / 1e-6
+        np.testing.assert_allclose(np.abs(at.lever[:, k]), np.abs(slope), atol=1e-6)
+    np.testing.assert_allclose(np.abs(at.lever[:, 3:]), np.tile([1.0, 0, 0], (6, 1)), atol=1e-7)
+    moves = np.einsum("nij,j->ni", np.asarray(point_slope(pose, x)), np.ones(4) * 1e-6)
+    np.testing.assert_allclose(world(moved(pose, jnp.ones(4) * 1e-6), points.local) - x, moves, atol=1e-10)
+
+
+def _wall(random):
+    """A map of the wall x = 1, whose points carry numbers that are linear in place."""
+    from jaxest.mapping import Hashed, empty, insert
+
+    layout = Hashed(0.2)
+    y, z = np.meshgrid(np.arange(-1, 1, 0.1) + 0.05, np.arange(-1, 1, 0.1) + 0.05)
+    wall = np.column_stack([np.ones(y.size), y.ravel(), z.ravel()])
+    carried = np.tile(random.normal(size=9), (y.size, 1))
+    chart = empty(layout, 500, 9, jnp.float64)
+    return layout, insert(layout, chart, jnp.asarray(wall), jnp.ones(y.size, bool), jnp.asarray(carried))
+
+
+def test_sums_marginalise_the_links_own_motion(x64):
+    """Against the dense covariance: unit noise over the weight, plus what the link does on its own."""
+    random = np.random.default_rng(1)
+    n = 30
+    design, lever, residual = random.normal(size=(n, 3)), random.normal(size=(n, 6)), random.normal(size=n)
+    weight = random.uniform(0.5, 2, n) * (random.random(n) > 0.2)
+    half = random.normal(size=(6, 6))
+    spare = half @ half.T * 0.1
+    from jaxest.systems._slam_rows import Rows
+
+    rows = Rows(*(jnp.asarray(x) for x in (residual, design, lever, weight, weight >= 0, 0.0)))
+    points = Points(*(jnp.zeros(s) for s in ((n, 3), (n, 3), (n,))), jnp.ones(n, bool))
+    found = sums(rows, points, jnp.asarray(spare))
+    used = weight > 0
+    inverse = np.linalg.inv(np.diag(1 / weight[used]) + lever[used] @ spare @ lever[used].T)
+    np.testing.assert_allclose(found.information, design[used].T @ inverse @ design[used], rtol=1e-9)
+    np.testing.assert_allclose(found.pull, -design[used].T @ inverse @ residual[used], rtol=1e-9)
+    np.testing.assert_allclose(found.square, residual[used] @ inverse @ residual[used], rtol=1e-9)
+    assert (int(found.inliers), int(found.matched), int(found.seen)) == (used.sum(), n, n)
+
+
+def test_links_move_as_their_slopes_say(x64):
+    body = bodies.body(robot(free=True), sensors())
+    reading = jnp.array([0.3, -0.4, 0.05, 0.7])
+    mean = bodies.Mean(jnp.array([0.1, 0.2, 0.3]), quaternion.exp(jnp.array([0.2, -0.5, 0.1])), jnp.full(4, 0.05))
+    at = bodies.links(body, mean, reading, body.links)
+    for k in range(body.size):
+        v = jnp.zeros(body.size).at[k].set(1e-6)
+        ahead, behind = (bodies.links(body, bodies.retract(body, mean, s * v), reading, body.links) for s in (1, -1))
+        np.testing.assert_allclose(at.travel[:, :, k], (ahead.position - behind.position) / 2e-6, atol=1e-8)
+        turned = jax.vmap(lambda a, b: so3.log(a @ b.T))(ahead.rotation, behind.rotation) / 2e-6
+        np.testing.assert_allclose(at.turn[:, :, k], turned, atol=1e-8)
+
+
+def test_bad_robots_and_sensors_are_named():
+    with pytest.raises(InputError, match="sensors: there is none"):
+        slam.build(robot(), [])
+    with pytest.raises(InputError, match="frame 'tol' does not exist; did you mean 'tool'"):
+        slam.build(robot(), ring("tol", 0.1))
+    with pytest.raises(InputError, match="directions of length"):
+        slam.build(robot(), [Proximity("a", np.zeros(3), np.full((2, 3), 0.9))])
+    with pytest.raises(InputError, match="expected 0 <= min < max"):
+        slam.build(robot(), [ring("a", 0.1)[0]._replace(minimum=5.0)])
+    with pytest.raises(ValueError, match="capacity: got 0"):
+        slam.build(robot(), sensors(), capacity=0)
