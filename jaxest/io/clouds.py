@@ -19,7 +19,7 @@ class Cloud(NamedTuple):
 
     point: NDArray[np.float64]
     """(n, 3) m."""
-    count: NDArray[np.float64]
+    count: NDArray[np.float64]  # type: ignore[assignment]  # the word hides a method of tuple
     """(n,), 1 where a file does not say."""
 
 

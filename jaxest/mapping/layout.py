@@ -93,7 +93,9 @@ def grid(lower: np.ndarray, upper: np.ndarray, voxel: float = 0.2) -> Grid:
     shape = np.ceil(np.asarray(upper) / voxel).astype(int) + 1 - low
     if np.any(shape < 1):
         raise InputError(f"upper: {upper}, expected beyond lower, {lower}")
-    return Grid(voxel, tuple(float(x) for x in low * voxel + voxel / 2), tuple(int(n) for n in shape))
+    a, b, c = (float(x) for x in low * voxel + voxel / 2)
+    nx, ny, nz = (int(n) for n in shape)
+    return Grid(voxel, (a, b, c), (nx, ny, nz))
 
 
 def cells(layout: Layout, x: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:

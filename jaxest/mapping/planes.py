@@ -79,18 +79,15 @@ def eigenvector(a: tuple[Array, ...], value: Array) -> Array:
     """Return the unit eigenvectors (n, 3) of a simple eigenvalue; z where there is none."""
     xx, xy, xz, yy, yz, zz = a
     rows = ((xx - value, xy, xz), (xy, yy - value, yz), (xz, yz, zz - value))
-    best, length = None, None
+    best: tuple[Array, ...] = (value, value, value)
+    length = jnp.full_like(value, -1)
     for i, j in ((0, 1), (1, 2), (2, 0)):
         (a1, a2, a3), (b1, b2, b3) = rows[i], rows[j]
         found = (a2 * b3 - a3 * b2, a3 * b1 - a1 * b3, a1 * b2 - a2 * b1)
         size = found[0] ** 2 + found[1] ** 2 + found[2] ** 2
-        if best is None or length is None:
-            best, length = found, size
-        else:
-            more = size > length
-            best = tuple(jnp.where(more, f, b) for f, b in zip(found, best, strict=True))
-            length = jnp.where(more, size, length)
-    assert best is not None and length is not None
+        more = size > length
+        best = tuple(jnp.where(more, f, b) for f, b in zip(found, best, strict=True))
+        length = jnp.where(more, size, length)
     some = length > 0
     root = jnp.sqrt(jnp.where(some, length, 1))
     parts = [jnp.where(some, c / root, 1.0 if k == 2 else 0.0) for k, c in enumerate(best)]

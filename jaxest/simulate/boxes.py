@@ -1,22 +1,22 @@
 """Rays among boxes in JAX: what a ranging sensor meets in a room of the kind that `simulate.rooms` draws."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from jaxest.types import Array, ArrayLike
+from jaxest.types import Array
 
 
 class Boxes(NamedTuple):
     """A box-shaped room and boxes in it, all aligned with the world."""
 
-    lower: ArrayLike
+    lower: Any
     """(3,) m, a corner of the free space."""
-    upper: ArrayLike
+    upper: Any
     """(3,) m, the opposite one."""
-    centers: ArrayLike
+    centers: Any
     """(B, 3) m, of boxes in it."""
-    halves: ArrayLike
+    halves: Any
     """(B, 3) m, half their sizes."""
 
 

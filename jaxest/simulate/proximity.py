@@ -81,7 +81,7 @@ def inside(
 
     model = compiled(source)
     data = mujoco.MjData(model)
-    time = np.arange(round(duration / dt)) * dt
+    time: Any = np.arange(round(duration / dt)) * dt
     hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
     at = model.jnt_qposadr[hinges]
     for attempt in range(tries):
@@ -92,7 +92,7 @@ def inside(
         rate = hertz * random.uniform(0.3, 1, n)
         offset = 0.6 * size * random.uniform(-1, 1, n)
         wave = offset + swing * np.sin(2 * np.pi * (rate * time[:, None] + random.uniform(0, 1, n)))
-        q = np.tile(model.qpos0, (len(time), 1))
+        q: Any = np.tile(model.qpos0, (len(time), 1))
         q[:, at] += wave
         limited = model.jnt_limited[hinges].astype(bool)
         low, high = model.jnt_range[hinges].T
@@ -146,8 +146,8 @@ def crawl(
     steps = round(dt / model.opt.timestep)
     for _ in range(round(1.5 / model.opt.timestep)):
         mujoco.mj_step(model, data)
-    rows = []
-    time = np.arange(round(duration / dt)) * dt
+    rows: list[Any] = []
+    time: Any = np.arange(round(duration / dt)) * dt
     for t in time:
         rows.append(data.qpos.copy())
         for k in range(steps):

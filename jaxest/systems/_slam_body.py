@@ -31,7 +31,7 @@ class Mean(NamedTuple):
 class Rays(NamedTuple):
     """The zones of each link, padded to the most that any link has."""
 
-    index: NDArray[np.int64]
+    index: NDArray[np.int64]  # type: ignore[assignment]  # the word hides a method of tuple
     """(L, Z) where in a reading (R,) a zone stands; R where there is none."""
     origin: NDArray[np.float64]
     """(L, Z, 3) m, in the link."""
@@ -142,7 +142,8 @@ def _check(one: Proximity, origin: NDArray[np.float64], away: NDArray[np.float64
 
 def manifold(body: Body) -> product.Product:
     """Return where `Mean` lives; its tangent is [position, rotation in the root, biases]."""
-    return product.of(Mean(Euclidean((3,)), quaternion, Euclidean((len(body.joints),))))
+    parts: Any = (Euclidean((3,)), quaternion, Euclidean((len(body.joints),)))
+    return product.of(Mean(*parts))
 
 
 def retract(body: Body, mean: Mean, v: Array) -> Mean:

@@ -117,9 +117,9 @@ def match(layout: Layout, chart: VoxelMap, params: Any, pose: Pose, points: Poin
     count = jnp.maximum(jnp.sum(near.there, axis=0), 1).astype(x.dtype)
     kept = jnp.where(near.there[..., None], carried(chart, near.row), 0)
     moves = (jnp.sum(kept, axis=0) / count[:, None]).reshape(len(x), 3, pose.turn.shape[1] - roots)
-    along = sum(n[:, i, None] * moves[:, i] for i in range(3))
+    along = jnp.sum(n[:, :, None] * moves, axis=1)
     slope = point_slope(pose, x)
-    design = sum(n[:, i, None] * slope[:, i] for i in range(3))
+    design = jnp.sum(n[:, :, None] * slope, axis=1)
     design = jnp.concatenate([design[:, :roots], design[:, roots:] - along], axis=1)
     away = x - planes.center
     residual = jnp.sum(n * away, axis=1) - product(along, offset)

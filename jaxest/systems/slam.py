@@ -43,7 +43,7 @@ class Params(NamedTuple):
 
     noise: ArrayLike = 0.01 / 2.7
     """() standard deviation of a range, by the range."""
-    floor: ArrayLike = 0.025
+    floor: ArrayLike = 0.032
     """() m, standard deviation of a distance to a plane however near: rows on one plane share its error, and are
     counted for less instead."""
     fresh: ArrayLike = 5.0
@@ -54,9 +54,9 @@ class Params(NamedTuple):
     """() m^0.5, a residual beyond this times the root of its range, and three times its noise, does not count."""
     thickness: ArrayLike = 0.005
     """() m, of a plane at most, beyond a range's standard deviation."""
-    jitter_position: ArrayLike = 0.006
+    jitter_position: ArrayLike = 0.008
     """() m, standard deviation along each axis of what one scan can place a link to."""
-    jitter_rotation: ArrayLike = 0.004
+    jitter_rotation: ArrayLike = 0.0055
     """() rad, the same of its rotation."""
     bias_start: ArrayLike = 0.1
     """() or (n,) rad or m, standard deviation of a bias before the first scan."""

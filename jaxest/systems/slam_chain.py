@@ -163,7 +163,7 @@ def _chain(body: Body) -> Chain:
     """Find the parent and the joint of each scanned link."""
     topology, robot = body.robot.topology, body.robot
     rows: dict[int, int] = {}
-    parent, joint, hinge, axis, anchor, offset = [], [], [], [], [], []
+    columns: list[list[Any]] = [[] for _ in range(6)]
     q = np.array(robot.home, float)
     for j in body.joints:
         q[topology.joint_q[j]] = 0
@@ -175,8 +175,8 @@ def _chain(body: Body) -> Chain:
             up = topology.body_parent[up]
         rows[link] = row
         if up < 0 and row == 0 and not between:
-            place = se3.Pose(np.asarray(frames.quaternion[link]), np.asarray(frames.position[link]))
-            found = (-1, 0, True, np.array([0.0, 0, 1]), np.zeros(3), place)
+            place = se3.Pose(frames.quaternion[link], frames.position[link])
+            found: Any = (-1, 0, True, np.array([0.0, 0, 1]), np.zeros(3), place)
         elif up >= 0 and len(between) == 1 and topology.joint_body[between[0]] == link:
             j = between[0]
             one, other = (se3.Pose(frames.quaternion[b], frames.position[b]) for b in (up, link))
@@ -186,10 +186,11 @@ def _chain(body: Body) -> Chain:
         else:
             name = topology.body_names[link]
             raise InputError(f"link {name!r}: expected one joint between it and the link with sensors before it")
-        for column, value in zip((parent, joint, hinge, axis, anchor, offset), found, strict=True):
-            column.append(value)  # type: ignore[attr-defined]
-    stacked = jax.tree.map(lambda *x: np.stack([np.asarray(v) for v in x]), *offset)
-    return Chain(np.array(parent), np.array(joint), np.array(hinge), stacked, np.array(axis), np.array(anchor))
+        for column, value in zip(columns, found, strict=True):
+            column.append(value)
+    stacked = jax.tree.map(lambda *x: np.stack([np.asarray(v) for v in x]), *columns.pop())
+    parent, joint, hinge, axis, anchor = (np.array(column) for column in columns)
+    return Chain(parent, joint, hinge, stacked, axis, anchor)
 
 
 def init(body: Body, layout: Layout, capacity: int, params: Params, *, key: Array | None = None) -> State:
@@ -281,7 +282,7 @@ def _predict(
         turn = quaternion.exp(jnp.where(fixed.hinge, coordinate, 0) * fixed.axis.astype(dtype))
         anchor = fixed.anchor.astype(dtype)
         slid = jnp.where(fixed.hinge, 0, coordinate) * fixed.axis.astype(dtype)
-        own = se3.Pose(turn, anchor - quaternion.rotate(turn, anchor) + slid)
+        own = se3.Pose(turn, jnp.asarray(anchor - quaternion.rotate(turn, anchor) + slid))
         offset = jax.tree.map(lambda v: v.astype(dtype), fixed.offset)
         return se3.compose(se3.compose(pose, offset), own), bias
 

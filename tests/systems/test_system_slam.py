@@ -19,6 +19,8 @@ from jaxest.types import NON_FINITE, OK, InputError, Reading
 
 QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 STEPS = 25
+SENSED = [0, 1, 2, 4]  # bodies with sensors; the tool on the slide has none
+KNOWN = [0, 1, 3]  # joints whose bias the sensors tell
 
 
 @pytest.fixture(scope="module")
@@ -50,12 +52,11 @@ def outcome(fixed, driven, scene):
 def test_biases_of_hinges_and_a_slide_are_found(outcome, scene):
     """72 zones a link, noise of 1 %: a twentieth of a radian everywhere, also on the branch."""
     _, info = outcome
-    away = errors(info, scene[1])
+    away = errors(info, scene[1])[:, SENSED]
     assert np.all(np.asarray(info.status) == OK)
     assert away[-5:].max() < 0.02
-    seen = [0, 1, 3]  # the slide's link has no sensor: nothing tells its bias
-    assert np.abs(np.asarray(info.bias)[-1, [0, 1, 3]] - 0.05).max() < 0.01
-    assert np.all(np.asarray(info.bias_deviation)[-1, seen] < 0.02)
+    assert np.abs(np.asarray(info.bias)[-1, KNOWN] - 0.05).max() < 0.01
+    assert np.all(np.asarray(info.bias_deviation)[-1, KNOWN] < 0.02)
     assert np.asarray(info.bias_deviation)[-1, 2] > 0.09
 
 
@@ -90,8 +91,8 @@ def test_biases_lie_within_their_deviations(fixed, driven):
     for seed in range(12):
         measurements, _ = drawn(fixed, 100 + seed)
         _, info = driven(fixed.default_params, fixed.init(fixed.default_params), measurements)
-        deviation = np.asarray(info.bias_deviation)[-1, [0, 1, 3]]
-        found.append((np.asarray(info.bias)[-1, [0, 1, 3]] - 0.05) / deviation)
+        deviation = np.asarray(info.bias_deviation)[-1, KNOWN]
+        found.append((np.asarray(info.bias)[-1, KNOWN] - 0.05) / deviation)
     squared = np.square(found)
     # The mean of 36 squared standard normals is 1 +- 0.24; correlated residuals leave room for twice too bold.
     assert squared.mean() < 2.5
@@ -144,17 +145,17 @@ def test_a_full_map_is_told():
 
 
 def test_a_robot_that_was_carried_away_is_flagged(fixed, driven, scene):
-    """Half a metre to the side between two steps: the points contradict the map, and that is said."""
+    """Every surface is a foot farther off between two steps: the points contradict the map, and that is said."""
     measurements, _ = scene
-    room = boxes.Boxes((-1.5, -1.5, -1.2), (3.0, 2.2, 1.4), ((1.0, -1.0, -0.8), (0.6, 1.9, 0.3)), ((0.4,) * 3,) * 2)
-    moved_room, _ = drawn(fixed, 0, room=room)
+    room = boxes.Boxes((-1.8, -2.3, -1.5), (3.3, 2.0, 1.7), ((1.0, -1.8, -1.1), (0.6, 1.7, 0.6)), ((0.4,) * 3,) * 2)
+    larger, _ = drawn(fixed, 0, room=room)
     value = np.array(measurements.ranges.value)
-    value[12:] = np.asarray(moved_room.ranges.value)[12:]
+    value[12:] = np.asarray(larger.ranges.value)[12:]
     given = measurements._replace(ranges=Reading(value, measurements.ranges.valid))
     _, info = driven(fixed.default_params, fixed.init(fixed.default_params), given)
-    status = np.asarray(info.link_status)[:, [0, 1, 2, 4]]
+    status = np.asarray(info.link_status)[:, SENSED]
     assert np.all(status[3:12] == OK)
-    assert np.mean(np.isin(status[12:15], [slam.LOST, slam.FOLLOWS])) > 0.5
+    assert np.all(np.isin(status[12, 1:], [slam.LOST, slam.FOLLOWS]))
 
 
 def test_a_missing_encoder_is_no_zero(fixed, driven, scene):
@@ -165,27 +166,7 @@ def test_a_missing_encoder_is_no_zero(fixed, driven, scene):
     _, info = driven(fixed.default_params, fixed.init(fixed.default_params),
                      measurements._replace(joints=Reading(value, there)))  # fmt: skip
     assert np.all(np.asarray(info.status) == OK)
-    assert errors(info, truth)[-3:].max() < 0.02
-
-
-@pytest.mark.parametrize("odometry", [True, False])
-def test_a_free_root_is_followed(odometry):
-    """It drifts by some cm; with odometry also while nothing is seen."""
-    system = build(free=True)
-    measurements, truth = drawn(system, 3, odometry=odometry)
-    valid = np.array(measurements.ranges.valid)
-    if odometry:
-        valid[15:18] = False
-    measurements = measurements._replace(ranges=Reading(measurements.ranges.value, valid))
-    step = jax.jit(partial(run, system.step), compiler_options=QUICK)
-    _, info = step(system.default_params, system.init(system.default_params), measurements)
-    moves = np.linalg.norm(truth.position[-1, 0] - truth.position[0, 0])
-    away = errors(info, truth)
-    assert moves > 0.02
-    assert away[:, 0].max() < 0.03
-    assert away[-5:].max() < 0.03
-    spread = np.asarray(info.pose_covariance)[:, 0]
-    assert np.all(np.linalg.eigvalsh(spread)[1:, 0] > 0)
+    assert errors(info, truth)[-3:, SENSED].max() < 0.02
 
 
 def test_the_papers_filter_is_right_on_its_own_ground():
@@ -227,8 +208,8 @@ def test_rows_are_the_derivatives_of_their_residuals(x64):
         np.testing.assert_allclose(at.design[:, k], slope, atol=1e-8)
     x = world(pose, points.local)
     for k in range(3):
-        turned = so3.exp(jnp.zeros(3).at[k].set(1e-6)) @ (x - pose.position).T
-        slope = (np.asarray(turned).T + np.asarray(pose.position) - x) @ np.array([1.0, 0, 0]) / 1e-6
+        turned = np.asarray(so3.exp(jnp.zeros(3).at[k].set(1e-6))) @ (np.asarray(x) - pose.position).T
+        slope = (turned.T + np.asarray(pose.position) - np.asarray(x)) @ np.array([1.0, 0, 0]) / 1e-6
         np.testing.assert_allclose(np.abs(at.lever[:, k]), np.abs(slope), atol=1e-6)
     np.testing.assert_allclose(np.abs(at.lever[:, 3:]), np.tile([1.0, 0, 0], (6, 1)), atol=1e-7)
     moves = np.einsum("nij,j->ni", np.asarray(point_slope(pose, x)), np.ones(4) * 1e-6)

@@ -18,6 +18,7 @@ METHODS = {
     "onsite": "jaxest.cli.methods.onsite",
     "posture": "jaxest.cli.methods.posture",
     "torque": "jaxest.cli.methods.torque",
+    "slam": "jaxest.cli.methods.slam",
 }
 """Name of a method, and the module that holds it."""
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from jaxest.filters import run
 from jaxest.io.report import Row
-from jaxest.manifolds import se3
 from jaxest.reproduce import Choice, Say, Section, canvas
 from jaxest.reproduce.iwao2025 import runs
 from jaxest.reproduce.iwao2025.conditions import Condition
@@ -122,7 +121,7 @@ def rolling(one: Condition, plan: runs.Plan, rate: float) -> runs.Made:
     room = rooms.room(plan.seed, reach=(one.links + 1) * rooms.LENGTHS.get(one.links, 0.17))
     believed = rooms.sensors(one.links, rows=one.rows, columns=one.columns)
     model = proximity.compiled(rooms.scene(one.links, room, free=True))
-    time = plan.dt * np.arange(round(plan.seconds / plan.dt))
+    time: Any = plan.dt * np.arange(round(plan.seconds / plan.dt))
     angle = rate * np.maximum(time - min(2.0, plan.seconds / 3), 0)
     q = np.zeros((len(time), model.nq))
     q[:, 3], q[:, 4] = np.cos(angle / 2), np.sin(angle / 2)

@@ -1,0 +1,202 @@
+"""`--method slam`: whole-body SLAM from encoders and ranging sensors that the config lays out."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxest.cli.methods import SIZE, Outcome, Request
+from jaxest.io import SensorLog, Stream, to_si
+from jaxest.io.log import stream, where
+from jaxest.io.report import Row
+from jaxest.types import InputError, unknown_name
+
+LOST = 0.1  # share of steps flagged as lost above which the result must not be used
+NUMBERS = ("noise", "floor", "tilt", "gate", "thickness", "bias_start", "bias_walk", "encoder", "root_walk", "travel",
+           "turn")  # fmt: skip
+WORDS = ("joints", "ranges", "travel_stream", "turn_stream")
+
+
+def schema() -> dict[str, Any]:
+    """Return what may be in the config's table `[slam]`, as `jaxest.io.config` takes it."""
+    lengths = dict.fromkeys(("along", "radius", "field_deg", "minimum", "maximum"), float)
+    ring = {"frame": str, "frames": list, **lengths, **dict.fromkeys(("count", "rows", "columns"), int)}
+    one = {"frame": str, "position": list, "directions": list, "minimum": float, "maximum": float}
+    return {
+        **dict.fromkeys(WORDS, str), **dict.fromkeys(NUMBERS, float), "voxel": float, "capacity": int, "points": int,
+        "rings": {"*": ring}, "sensors": {"*": one},
+    }  # fmt: skip
+
+
+def estimate(log: SensorLog, request: Request) -> Outcome:
+    """Estimate where a robot's links are, and the room about it.
+
+    Args:
+        log: streams `joints` (T, n) rad and `ranges` (T, R) m, or those that the config names; NaN or values beyond a
+            sensor's limits are zones that say nothing. A free root's odometry may come as `travel` and `turn` (T, 3).
+        request: the robot, and the config's table `[slam]` with `[slam.rings.NAME]` and `[slam.sensors.NAME]`, whose
+            zones stand in `ranges` one after the other, in the config's order.
+
+    Returns:
+        Streams `joints`, `joints_bias`, `joints_deviation`, and for each body `NAME/position` and `NAME/orientation`;
+        the map is written as PLY beside the picture.
+
+    Raises:
+        InputError: no robot, no sensor, streams that do not fit.
+    """
+    import jax
+
+    from jaxest import kinematics
+    from jaxest.filters import run
+    from jaxest.mapping import Hashed
+    from jaxest.sensors.proximity import rays
+    from jaxest.systems import slam
+
+    if request.robot is None:
+        raise InputError("the method 'slam' needs a robot: --robot FILE (MJCF or URDF)")
+    settings, log = request.settings, to_si(log)
+    robot, placed = kinematics.load(request.robot), sensors(settings)
+    system = slam.build(
+        robot, placed, layout=Hashed(settings.get("voxel", 0.2)), capacity=settings.get("capacity", 16384),
+        points=settings.get("points", 128),
+    )  # fmt: skip
+    time, given, free = _measurements(log, settings, robot, rays(placed))
+    params = system.default_params._replace(**{k: settings[k] for k in NUMBERS if k in settings})
+    params = jax.tree.map(np.float32, params)
+    state, info = run(system.step, params, system.init(params), given)
+    info = jax.tree.map(np.asarray, info)
+    names = tuple(name for name, kind in zip(robot.joint_names, robot.topology.joint_kind, strict=True)
+                  if kind != "free")  # fmt: skip
+    led = {j for j, _ in robot.topology.couplings}
+    names = tuple(n for n in names if robot.joint_names.index(n) not in led)
+    streams = {
+        "joints": Stream(time, info.joints.astype(float), "rad", names=names),
+        "joints_bias": Stream(time, info.bias.astype(float), "rad", names=names),
+        "joints_deviation": Stream(time, info.bias_deviation.astype(float), "rad", names=names),
+    }
+    for k, body in enumerate(robot.topology.body_names):
+        streams[f"{body}/position"] = Stream(time, info.position[:, k].astype(float), "m")
+        streams[f"{body}/orientation"] = Stream(time, info.quaternion[:, k].astype(float), "1")
+    chart = np.asarray(state.chart.point)[: int(state.chart.used)].astype(float)
+    rows = _rows(time, names, info, robot)
+
+    def draw(path: Path, title: str) -> None:
+        from jaxest.io.clouds import Cloud, write_cloud
+        from jaxest.viz import surroundings
+
+        cloud = Cloud(chart, np.asarray(state.chart.total)[: len(chart), 3].astype(float))
+        write_cloud(cloud, path.with_name(f"{path.stem}_map.ply"))
+        surroundings.draw(path, chart, info.position[-1], robot.topology.body_parent, title=title)
+
+    notes = [f"{len(placed)} sensors, {rays(placed)} zones; the root is {'free' if free else 'fixed'}"]
+    return Outcome(SensorLog(streams, log.source), rows, notes, _refused(info), draw)
+
+
+def sensors(settings: Mapping[str, Any]) -> list[Any]:
+    """Read the sensors of a config: rings first, then single ones, each in the config's order.
+
+    Raises:
+        InputError: there is none, or one has no frame or place.
+    """
+    from jaxest.sensors.proximity import Proximity, ring
+
+    found: list[Any] = []
+    for name, table in settings.get("rings", {}).items():
+        frames = table.get("frames", [table["frame"]] if "frame" in table else [])
+        if not frames:
+            raise InputError(f'[slam.rings.{name}]: has no frame, expected frame = "..." or frames = [...]')
+        options = {k: v for k, v in table.items() if k not in ("frame", "frames", "along")}
+        for frame in frames:
+            found += ring(frame, table.get("along", 0.0), **options)
+    for name, table in settings.get("sensors", {}).items():
+        missing = [k for k in ("frame", "position", "directions") if k not in table]
+        if missing:
+            raise InputError(f"[slam.sensors.{name}]: has no {', '.join(missing)}")
+        away = np.asarray(table["directions"], float).reshape(-1, 3)
+        away = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+        limits = {k: table[k] for k in ("minimum", "maximum") if k in table}
+        found.append(Proximity(table["frame"], np.asarray(table["position"], float), away, **limits))
+    if not found:
+        raise InputError("[slam] names no sensor; expected a --config with tables such as [slam.rings.arm]")
+    return found
+
+
+def _measurements(log: SensorLog, settings: Mapping[str, Any], robot: Any, zones: int) -> tuple[Any, Any, bool]:
+    """Return times (T,), measurements and whether the root is free; one step a row of `ranges`."""
+    from jaxest.systems import slam
+    from jaxest.types import Reading
+
+    ranges = stream(log, settings.get("ranges", "ranges"))
+    joints = stream(log, settings.get("joints", "joints"))
+    spot = where(log)
+    value = np.asarray(ranges.value, float).reshape(len(ranges.time), -1)
+    if value.shape[1] != zones:
+        raise InputError(f"{spot}stream of ranges has {value.shape[1]} columns, the config's sensors {zones} zones")
+    led = {j for j, _ in robot.topology.couplings}
+    wanted = [n for j, n in enumerate(robot.joint_names) if robot.topology.joint_kind[j] != "free" and j not in led]
+    angles = np.asarray(joints.value, float).reshape(len(joints.time), -1)
+    given = list(joints.names) or wanted
+    for name in wanted:
+        if name not in given:
+            raise unknown_name(f"{spot}stream of joints: column", name, given)
+    if angles.shape[1] != len(given):
+        raise InputError(f"{spot}stream of joints has {angles.shape[1]} columns, expected {len(given)}: {given}")
+    columns = [given.index(name) for name in wanted]
+    at = np.stack([np.interp(ranges.time, joints.time, np.unwrap(angles[:, c]), left=np.nan, right=np.nan)
+                   for c in columns], axis=1)  # fmt: skip
+    there = np.isfinite(at)
+    dt = np.concatenate([[0.0], np.diff(ranges.time)]).astype(np.float32)
+    fields: dict[str, Any] = {
+        "ranges": Reading(np.nan_to_num(value).astype(np.float32), np.isfinite(value)),
+        "joints": Reading(np.where(there, at, 0).astype(np.float32), there),  # type: ignore[arg-type]
+        "dt": dt,
+    }
+    free = robot.topology.joint_kind[:1] == ("free",)
+    for name in ("travel", "turn") if free else ():
+        known = settings.get(f"{name}_stream", name)
+        moved, seen = np.zeros((len(dt), 3), np.float32), np.zeros(len(dt), bool)
+        if known in log.streams:
+            item = stream(log, known)
+            if len(item.time) != len(dt) or not np.allclose(item.time, ranges.time):
+                raise InputError(f"{spot}stream {known!r}: expected a row at each of the ranges' {len(dt)} times")
+            moved, seen = np.asarray(item.value, np.float32), np.isfinite(item.value).all(axis=1)
+            moved = np.nan_to_num(moved)
+        fields[name] = Reading(moved, seen)  # type: ignore[arg-type]
+    return ranges.time, (slam.Free if free else slam.Fixed)(**fields), free
+
+
+def _rows(time: NDArray[np.float64], names: tuple[str, ...], info: Any, robot: Any) -> list[Row]:
+    from jaxest.systems import slam
+
+    rows = [Row(SIZE[0], "", float(len(time)), "1"), Row(SIZE[1], "", float(time[-1] - time[0]), "s")]
+    for j, name in enumerate(names):
+        rows.append(Row("bias at the end", name, float(np.rad2deg(info.bias[-1, j])), "deg",
+                        float(np.rad2deg(info.bias_deviation[-1, j])), len(time)))  # fmt: skip
+    rows.append(
+        Row("points that fit the map", "mean", 100 * float(np.mean(info.inliers / np.maximum(info.seen, 1))), "%")
+    )
+    rows.append(Row("map", "voxels", float(info.voxels[-1]), "1"))
+    rows.append(Row("points without room in the map", "", float(info.overflow[-1]), "1"))
+    flagged = float(np.mean(info.status == slam.LOST))
+    rows.append(Row("steps flagged as lost", "", 100 * flagged, "%"))
+    for k, body in enumerate(robot.topology.body_names):
+        if np.all(info.link_status[:, k] == slam.UNSEEN):
+            rows.append(Row("link without sensors", body, None, "1"))
+    return rows
+
+
+def _refused(info: Any) -> list[str]:
+    from jaxest.systems import slam
+
+    reasons = []
+    if not np.isfinite(info.position).all():
+        reasons.append("the estimate is not finite")
+    flagged = float(np.mean(info.status == slam.LOST))
+    if flagged > LOST:
+        reasons.append(f"points contradict the map in {100 * flagged:.0f} % of the steps")
+    return reasons
+
+
+__all__ = ["estimate", "schema", "sensors"]
