@@ -208,7 +208,7 @@ def test_rows_are_the_derivatives_of_their_residuals(x64):
         np.testing.assert_allclose(at.design[:, k], slope, atol=1e-8)
     x = world(pose, points.local)
     for k in range(3):
-        turned = np.asarray(so3.exp(jnp.zeros(3).at[k].set(1e-6))) @ (np.asarray(x) - pose.position).T
+        turned = np.asarray(so3.exp(jnp.zeros(3).at[k].set(1e-6))) @ (np.asarray(x) - np.asarray(pose.position)).T
         slope = (turned.T + np.asarray(pose.position) - np.asarray(x)) @ np.array([1.0, 0, 0]) / 1e-6
         np.testing.assert_allclose(np.abs(at.lever[:, k]), np.abs(slope), atol=1e-6)
     np.testing.assert_allclose(np.abs(at.lever[:, 3:]), np.tile([1.0, 0, 0], (6, 1)), atol=1e-7)

@@ -1,0 +1,86 @@
+"""`jaxest estimate --method slam`: a simulated structure's log, and configs that cannot be."""
+
+import json
+
+import numpy as np
+import pytest
+
+from jaxest.cli.methods import Request, slam
+from jaxest.io import SensorLog, Stream, read, write
+from jaxest.io.clouds import read_cloud
+from jaxest.sensors.proximity import ring
+from jaxest.simulate import proximity, rooms
+from jaxest.types import InputError
+
+CONFIG = """
+[slam]
+points = 64
+capacity = 2000
+
+[slam.rings.body]
+frames = ["root", "link1", "link2"]
+along = 0.085
+rows = 4
+columns = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def log():
+    scene = rooms.scene(2, rooms.room(4, reach=1.0))
+    time, q = proximity.inside(scene, 4, duration=1.2)
+    sensors = [s for frame in ("root", "link1", "link2") for s in ring(frame, 0.085, rows=4, columns=2)]
+    scan = proximity.cast(scene, sensors, q, time)
+    value, there = proximity.corrupt(scan, sensors, proximity.Faults(), 0)
+    ranges = np.where(there, value, np.nan).astype(float)
+    return SensorLog({
+        "joints": Stream(time, q + 0.05, "rad", names=("joint1", "joint2")),
+        "ranges": Stream(time, ranges, "m"),
+    })  # fmt: skip
+
+
+def test_a_log_becomes_poses_biases_and_a_map(log, tmp_path, capsys, monkeypatch):
+    from jaxest.cli import main
+
+    write(log, tmp_path / "log.npz")
+    (tmp_path / "robot.xml").write_text(rooms.structure(2))
+    (tmp_path / "c.toml").write_text(CONFIG)
+    arguments = ["estimate", "log.npz", "--method", "slam", "--robot", "robot.xml", "--config", "c.toml", "-o", "out"]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["jaxest", *arguments, "--json"])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code in (0, None)
+    report = json.loads(capsys.readouterr().out)
+    found = read(tmp_path / "out" / "estimate.npz")
+    assert found.streams["link2/position"].value.shape == (12, 3)
+    away = found.streams["joints_bias"].value[-1] - 0.05
+    deviation = found.streams["joints_deviation"].value[-1]
+    # Twelve scans of few zones tell something, and the deviations hold.
+    assert np.all(deviation < 0.08)
+    assert np.all(np.abs(away) < 4 * deviation)
+    metrics = {(row["metric"], row["condition"]): row["value"] for row in report["rows"]}
+    assert metrics["steps flagged as lost", ""] == 0
+    assert metrics["map", "voxels"] > 100
+    clouds = list((tmp_path / "out").glob("*_map.ply"))
+    assert not clouds or len(read_cloud(clouds[0]).point) == metrics["map", "voxels"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({}, "names no sensor"),
+        ({"rings": {"a": {"along": 0.1}}}, r"\[slam.rings.a\]: has no frame"),
+        ({"sensors": {"a": {"frame": "root"}}}, r"\[slam.sensors.a\]: has no position, directions"),
+        ({"rings": {"a": {"frame": "root"}}}, "has 192 columns, the config's sensors 512 zones"),
+        ({"rings": {"a": {"frame": "toor"}}}, "frame 'toor' does not exist"),
+        ({"rings": {"a": {"frame": "root"}}, "ranges": "rangs"}, "did you mean 'ranges'"),
+    ],
+)
+def test_what_cannot_be_is_named(log, tmp_path, settings, message):
+    robot = tmp_path / "robot.xml"
+    robot.write_text(rooms.structure(2))
+    with pytest.raises(InputError, match=message):
+        slam.estimate(log, Request(settings, robot=robot))
+    with pytest.raises(InputError, match="needs a robot"):
+        slam.estimate(log, Request(settings))
