@@ -38,7 +38,9 @@ def run(
     log: Annotated[Path, typer.Argument(help="Log to read: NPZ or CSV, in jaxest's layout or anybody's.")],
     method: Annotated[
         str,
-        typer.Option("--method", "-m", help="What to estimate: orientation, deflection, onsite, posture, torque."),
+        typer.Option(
+            "--method", "-m", help="What to estimate: orientation, deflection, onsite, posture, torque, slam."
+        ),
     ],
     robot: Annotated[
         Path | None, typer.Option("--robot", "-r", help="Robot (MJCF, URDF), for methods that need one.")
