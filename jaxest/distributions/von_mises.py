@@ -4,7 +4,6 @@ The concentration k is the inverse of the variance where it is large (1/rad^2) a
 is accurate from k = 0 to 1e8 and beyond in the arguments' own precision; a negative k gives NaN.
 """
 
-import functools
 import math
 from typing import NamedTuple
 
@@ -12,10 +11,12 @@ import jax
 import jax.numpy as jnp
 
 from jaxest.distributions import _rejection
-from jaxest.distributions._bessel import log_i0e, ratio_and_complement, slope
+from jaxest.distributions._bessel import log_i0e, ratio_and_complement
 from jaxest.distributions._checks import common_dtype, fits, floating
 from jaxest.distributions._rejection import Draws
+from jaxest.distributions._von_mises_inverse import invert
 from jaxest.distributions._von_mises_map import FastSampler, fast_sampler, from_bits, sample_fast
+from jaxest.distributions._von_mises_sample import drawn_about_zero
 from jaxest.manifolds import circle
 from jaxest.manifolds.base import as_array, normalized
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike
@@ -129,7 +130,7 @@ def concentration(mean_resultant_length: ArrayLike) -> Array:
         (...) k; 0 at 0 and infinite at 1, NaN outside.
     """
     (r,) = floating(mean_resultant_length=mean_resultant_length)
-    return _invert(r, 1 - r)
+    return invert(r, 1 - r)
 
 
 def concentration_from_circular_variance(circular_variance: ArrayLike) -> Array:
@@ -142,39 +143,7 @@ def concentration_from_circular_variance(circular_variance: ArrayLike) -> Array:
         (...) k; infinite at 0 and 0 at 1, NaN outside.
     """
     (b,) = floating(circular_variance=circular_variance)
-    return _invert(1 - b, b)
-
-
-@jax.custom_jvp
-@jax.jit
-def _invert(r: Array, b: Array) -> Array:
-    """Return k of r = I1/I0 and b = 1 - r, of which the smaller one is trusted."""
-    inside = (r > 0) & (b > 0)
-    r_, b_ = jnp.where(inside, r, 0.5), jnp.where(inside, b, 0.5)
-    low = r_ * (2 + r_ * r_ * (1 + 5 / 6 * r_ * r_))
-    middle = -0.4 + 1.39 * r_ + 0.43 / b_
-    high = 1 / (r_ * b_ * (2 + b_))
-    start = jnp.where(r_ < 0.53, low, jnp.where(r_ < 0.85, middle, high))
-
-    def newton(_: int, k: Array) -> Array:
-        """Solve 1 / (1 - I1/I0) = 1 / b, which is almost linear in k."""
-        ratio, complement = ratio_and_complement(k)
-        missing = jnp.where(r_ < b_, r_ - ratio, complement - b_)
-        step = missing * complement / (b_ * slope(k))
-        return jnp.maximum(k + step, k / 8)
-
-    k = jax.lax.fori_loop(0, 5, newton, start)
-    edge = jnp.where((r == 0) & (b > 0), 0.0, jnp.where((b == 0) & (r > 0), jnp.inf, jnp.nan))
-    return jnp.where(inside, k, edge.astype(k.dtype))
-
-
-@_invert.defjvp
-def _(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Differentiate the equation; r and b move against each other, so half their difference counts."""
-    k = _invert(*primals)
-    finite = jnp.isfinite(k)
-    rise = slope(jnp.where(finite, k, 1.0))
-    return k, jnp.where(finite, (tangents[0] - tangents[1]) / (2 * rise), 0.0)
+    return invert(1 - b, b)
 
 
 def sample(key: Array, mean: ArrayLike, concentration: ArrayLike, shape: tuple[int, ...] | int | None = None) -> Array:
@@ -227,28 +196,8 @@ def rejection(
     whole = fits(shape, mean=jnp.shape(mean), concentration=jnp.shape(concentration))
     dtype = common_dtype(mean, concentration)
     k = jax.lax.stop_gradient(jnp.asarray(concentration, dtype))
-    turned, done = _turned(key, k, whole, rounds)
+    turned, done = drawn_about_zero(key, k, whole, rounds)
     return Draws(circle.wrap(jnp.broadcast_to(jnp.asarray(mean, dtype), whole) + turned), done)
-
-
-@functools.partial(jax.jit, static_argnums=(2, 3))
-def _turned(key: Array, concentration: Array, whole: tuple[int, ...], rounds: int) -> Draws:
-    """Return angles about 0."""
-    count, dtype = math.prod(whole), concentration.dtype
-    k = jnp.broadcast_to(concentration, whole if concentration.ndim else (count,)).reshape(-1)
-    b = 1 + 1 / (jnp.sqrt(4 * k * k + 1) + 2 * k)
-    spread = jnp.sqrt(b / (b + 4 * k))
-
-    def propose(key: Array) -> tuple[Array, Array]:
-        u = jax.random.uniform(key, (2, count), dtype)
-        tangent = spread * jnp.tan(math.pi * (u[0] - 0.5))
-        energy = 2 * k / (1 + 1 / (tangent * tangent))  # 2 k sin^2 of the half angle
-        bound = (2 - b) / 2 - energy + jnp.log((b + 2 * energy) / 2)
-        return tangent, jnp.log1p(-u[1]) <= bound
-
-    draw = _rejection.pooled if concentration.ndim == 0 and count > 1 else _rejection.each
-    tangent, done = draw(key, propose, rounds)
-    return Draws(2 * jnp.arctan(tangent).reshape(whole), done.reshape(whole))
 
 
 def fit(xs: ArrayLike, weights: ArrayLike | None = None) -> Fit:
@@ -278,7 +227,7 @@ def fit(xs: ArrayLike, weights: ArrayLike | None = None) -> Fit:
     turned = circle.wrap(xs - centre)
     spread = 2 * jnp.sum(weights * jnp.sin(turned / 2) ** 2)
     length = jnp.sum(weights * jnp.cos(turned))
-    k = _invert(jnp.clip(length, 0.0, 1.0), jnp.clip(spread, 0.0, 1.0))
+    k = invert(jnp.clip(length, 0.0, 1.0), jnp.clip(spread, 0.0, 1.0))
     bad = jnp.where(good, 0.0, jnp.nan).astype(xs.dtype)
     return Fit(centre + bad, k + bad, jnp.where(good, OK, NON_FINITE).astype(jnp.int32))
 

@@ -1,6 +1,7 @@
 """`jaxest estimate --method deflection`: a bent arm's log, and all that may be wrong with one."""
 
 import json
+import tomllib
 
 import numpy as np
 import pytest
@@ -181,6 +182,20 @@ def test_the_first_config_of_robot_and_log_are_accepted(invoke, log, tmp_path):
         found = deflection_config.sensors(table)
         assert [one.sensor.name for one in found][:3] == ["encoders", "imu2", "imu3"]
         assert found[1].sensor.frames == ("site:imu2",)
+
+
+def test_a_first_config_gives_each_sensor_a_table_and_a_likely_frame():
+    """An IMU and a marker on one link, both under the link's name, which no site would have."""
+    time, three = np.arange(5) / 10.0, np.zeros((5, 3))
+    streams = {f"wrist/{kind}": Stream(time, three, unit) for kind, unit in
+               (("gyroscope", "rad/s"), ("accelerometer", "m/s2"), ("position", "m"))}  # fmt: skip
+    streams["imu_tip/position"] = streams["wrist/position"]
+    streams["joint_position"] = Stream(time, three, "rad", names=("a", "b", "c"))
+    table = tomllib.loads(deflection_config.of_log(SensorLog(streams)))["deflection"]["sensors"]
+    assert {name: one.get("frame") for name, one in table.items()} == {
+        "encoders": None, "wrist": "wrist", "wrist_position": "wrist", "imu_tip": "site:imu_tip",
+    }  # fmt: skip
+    assert table["wrist"]["imu"] == "wrist"
 
 
 def test_a_raw_imu_becomes_an_orientation(invoke, tmp_path):

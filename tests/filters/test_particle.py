@@ -290,7 +290,8 @@ def test_small_solves(size, dtype):
     z = jnp.asarray(random.normal(size=(size, 5)), dtype)
 
     def everything(residuals, jacobian, start, prior, z):
-        equations, energy = _cholesky.normal_equations(residuals, jacobian, start, prior, pull)
+        equations = _cholesky.normal_equations(residuals, jacobian, start, prior, pull)
+        energy = _cholesky.misfit(residuals, jacobian, -start)
         factor = _cholesky.factorize(equations, jnp.diagonal(prior))
         solved = _cholesky.solve(factor, factor[:, -1] + z)
         known = jnp.arange(size) >= size // 2
@@ -324,7 +325,7 @@ def test_a_sharp_sensor_of_one_direction_leaves_float32_whole(sharpness, toleran
 
     def draw(jacobian, z):
         none = jnp.zeros((6, 20))
-        equations = _cholesky.normal_equations(jnp.zeros((1, 20)), jacobian, none, 5 * jnp.eye(6), none)[0]
+        equations = _cholesky.normal_equations(jnp.zeros((1, 20)), jacobian, none, 5 * jnp.eye(6), none)
         return _cholesky.solve(_cholesky.factorize(equations, jnp.full(6, 5.0)), z)
 
     drawn = np.asarray(quick(draw)(jacobian, z))

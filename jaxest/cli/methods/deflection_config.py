@@ -13,6 +13,7 @@ ORDERS = ("wxyz", "xyzw")
 ATTITUDES = ("ekf", "complementary", "madgwick")
 PROPOSALS = ("guided", "bootstrap")
 NOISES = ("von_mises", "gaussian")
+TIPS = ("end_effector", "tip", "tool", "tcp", "marker")
 RAW = {"gyroscope", "accelerometer"}
 
 
@@ -147,7 +148,7 @@ def of_robot(joints: Sequence[str], frames: Sequence[str]) -> str:
     """
     sites = [frame.removeprefix("site:") for frame in frames if frame.startswith("site:")]
     imus = [site for site in sites if "imu" in site.lower()]
-    tips = [s for s in sites if any(word in s.lower() for word in ("end_effector", "tip", "tool", "tcp", "marker"))]
+    tips = [s for s in sites if any(word in s.lower() for word in TIPS)]
     found = [_encoders("joint_position", joints)]
     found += [_table(imu, "link_orientation", f"{imu}/orientation", f"site:{imu}") for imu in imus]
     found += [_table(tip, "link_position", f"{tip}/position", f"site:{tip}") for tip in tips]
@@ -166,13 +167,14 @@ def of_log(log: SensorLog) -> str:
     names = list(log.streams)
     encoders = next((name for name in names if kind_of(name) == "joint_position"), None)
     found = []
+    taken: set[str] = set()
     for name in names:
         owner = name.rpartition("/")[0]
         if owner and kind_of(name) in ("orientation", "position"):
             kind = "link_orientation" if kind_of(name) == "orientation" else "link_position"
-            found.append(_table(_identifier(owner), kind, name, f"site:{owner}"))
+            found.append(_table(_own(owner, kind, taken), kind, name, _frame(owner)))
         elif owner and _raw(name, owner, names):
-            found.append(_table(_identifier(owner), "link_orientation", "", f"site:{owner}", imu=owner))
+            found.append(_table(_own(owner, "imu", taken), "link_orientation", "", _frame(owner), imu=owner))
     if encoders is None or not found:
         return ""
     return "[deflection]\n\n" + "\n".join([_encoders(encoders, log.streams[encoders].names), *found])
@@ -182,6 +184,22 @@ def _raw(name: str, owner: str, names: Sequence[str]) -> bool:
     """Whether a stream is the gyroscope of an IMU that has an accelerometer and no orientation."""
     there = kind_of(name) == "gyroscope" and f"{owner}/accelerometer" in names
     return there and f"{owner}/orientation" not in names
+
+
+def _frame(owner: str) -> str:
+    """A guess at the frame that a stream's owner is: a site where it sounds like a sensor or a tip, else a body."""
+    return f"site:{owner}" if any(word in owner.lower() for word in ("imu", *TIPS)) else owner
+
+
+def _own(owner: str, what: str, taken: set[str]) -> str:
+    """A name for a sensor's table that no other has, added to those taken."""
+    name = _identifier(owner)
+    if name in taken:
+        name = f"{name}_{what.removeprefix('link_')}"
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
 
 
 def _identifier(name: str) -> str:

@@ -13,7 +13,7 @@ from jaxest.types import Array
 _EXACT = jax.lax.Precision.HIGHEST
 
 
-def normal_equations(residual: Array, jacobian: Array, at: Array, prior: Array, pull: Array) -> tuple[Array, Array]:
+def normal_equations(residual: Array, jacobian: Array, at: Array, prior: Array, pull: Array) -> Array:
     """Return the equations whose solution minimises `v' prior v - 2 pull' v + |residual + jacobian (v - at)|^2`.
 
     Args:
@@ -24,7 +24,7 @@ def normal_equations(residual: Array, jacobian: Array, at: Array, prior: Array, 
         pull: (d, N) the prior's information times its mean.
 
     Returns:
-        (d, d + 1, N): prior + J'J, and pull + J'J at - J'r as the last column; and (N,) what is minimised at v = 0.
+        (d, d + 1, N): prior + J'J, and pull + J'J at - J'r as the last column.
     """
     rows = jnp.concatenate([jacobian, -residual[:, None]], axis=1)
 
@@ -38,12 +38,17 @@ def normal_equations(residual: Array, jacobian: Array, at: Array, prior: Array, 
         right = total[-1] + jnp.sum(total[:-1] * at, axis=0) + drawn
         return None, jnp.concatenate([total[:-1] + known[:, None], right[None]])
 
-    def square(total: Array, row: Array) -> tuple[Array, None]:
-        gap = row[-1] + jnp.sum(row[:-1] * at, axis=0)
+    return jax.lax.scan(line, None, (jnp.arange(prior.shape[0]), prior, pull))[1]
+
+
+def misfit(residual: Array, jacobian: Array, step: Array) -> Array:
+    """Return |residual + jacobian step|^2, (N,), of residual (m, N), jacobian (m, d, N) and step (d, N)."""
+
+    def square(total: Array, row: tuple[Array, Array]) -> tuple[Array, None]:
+        gap = row[0] + jnp.sum(row[1] * step, axis=0)
         return total + gap * gap, None
 
-    equations = jax.lax.scan(line, None, (jnp.arange(prior.shape[0]), prior, pull))[1]
-    return equations, jax.lax.scan(square, jnp.zeros_like(residual[0]), rows)[0]
+    return jax.lax.scan(square, jnp.zeros_like(residual[0]), (residual, jacobian))[0]
 
 
 def factorize(equations: Array, floor: Array) -> Array:

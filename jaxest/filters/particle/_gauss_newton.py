@@ -47,19 +47,28 @@ def posterior(
         reach: how far from the centre, in any coordinate.
 
     Returns:
-        The last equations (d, d + 1, N); and (N,) minus twice the logarithm of prior times likelihood at the centre,
-        as the last linearisation has it, but for constants.
+        The last equations (d, d + 1, N); and (N,) minus twice the logarithm of prior times likelihood at their
+        solution, as the last linearisation has it, but for constants.
     """
 
     def turn(_: Any, now: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        equations, energy = linearized(manifold, rows, given, now[0], prior)
+        equations, value, jacobian = linearized(manifold, rows, given, now[0], prior)
         factor = factorized(equations, None, prior)
-        return within(_cholesky.solve(factor, factor[:, -1]), reach), equations, energy
+        at = within(_cholesky.solve(factor, factor[:, -1]), reach)
+        # Summed where it is small: a difference of large sums would lose its digits in float32.
+        energy = _cholesky.misfit(value, jacobian, at - now[0]) + _quadratic(prior, at)
+        return at, equations, jnp.where(jnp.isfinite(energy), energy, jnp.inf)
 
     size, count = prior.start.shape
     blank = jnp.zeros((size, size + 1, count), prior.start.dtype)
     _, equations, energy = jax.lax.fori_loop(0, iterations, turn, (prior.start, blank, prior.energy))
     return equations, energy
+
+
+def _quadratic(prior: Prior, v: Array) -> Array:
+    """(v - mean)' precision (v - mean) of v (d, N), (N,)."""
+    pushed = jnp.matmul(prior.precision, v, precision=jax.lax.Precision.HIGHEST)
+    return jnp.sum(v * (pushed - 2 * prior.pull), axis=0) + prior.energy
 
 
 def within(v: Array, reach: float) -> Array:
@@ -93,8 +102,8 @@ def split(equations: Array) -> tuple[Array, Array]:
 
 def linearized(
     manifold: Manifold, rows: Rows, given: tuple[PyTree, PyTree, PyTree], at: Array, prior: Prior
-) -> tuple[Array, Array]:
-    """Equations (d, d + 1, N) of the Gauss-Newton step from the noise `at` (d, N), prior included."""
+) -> tuple[Array, Array, Array]:
+    """Equations (d, d + 1, N) of the Gauss-Newton step from the noise `at` (d, N), and the rows they are made of."""
 
     def one(params: PyTree, mean: PyTree, measurement: PyTree, v: Array) -> tuple[Array, Array]:
         x = manifold.retract(mean, v)
@@ -107,8 +116,8 @@ def linearized(
     value, jacobian = jax.vmap(one, (None, 0, None, 1), out_axes=-1)(*given, at)
     if jacobian.shape != (value.shape[0], *at.shape):
         raise ValueError(f"rows: got shapes {value.shape[:-1]} and {jacobian.shape[:-1]}, expected (m,) and (m, d)")
-    equations, energy = _cholesky.normal_equations(value, jacobian, at, prior.precision, prior.pull)
+    equations = _cholesky.normal_equations(value, jacobian, at, prior.precision, prior.pull)
     wide = jnp.broadcast_to(prior.precision[:, :, None], jacobian.shape[1:2] + jacobian.shape[1:])
     alone = jnp.concatenate([wide, prior.pull[:, None]], axis=1)
-    finite = jnp.all(jnp.isfinite(equations), axis=(0, 1)) & jnp.isfinite(energy)
-    return jnp.where(finite[None, None], equations, alone), jnp.where(finite, energy + prior.energy, jnp.inf)
+    finite = jnp.all(jnp.isfinite(equations), axis=(0, 1))
+    return jnp.where(finite[None, None], equations, alone), value, jacobian

@@ -225,8 +225,7 @@ def _foreseen(factor: Array, energy: Array) -> Array:
     A small share is the same for all, so that a particle that was foreseen badly cannot come to weigh a lot.
     """
     numbers = jnp.arange(factor.shape[0])
-    right = factor[:, -1]
-    ahead = (jnp.sum(right * right, axis=0) - energy) / 2 - jnp.sum(jnp.log(factor[numbers, numbers]), axis=0)
+    ahead = -energy / 2 - jnp.sum(jnp.log(factor[numbers, numbers]), axis=0)
     share = normalize(ahead)[0] + math.log(ahead.shape[0])
     return jnp.logaddexp(math.log1p(-SHARE) + share, math.log(SHARE))
 
@@ -249,7 +248,7 @@ def _bent(
     """Noise (N, d) and its log-density (N,): wide directions first, the others given these."""
     drawn = plan.mode + _cholesky.solve(plan.factor, jnp.where(wide[:, None], white, 0))
     at = jnp.matmul(basis, drawn, precision=jax.lax.Precision.HIGHEST)
-    equations, _ = gauss_newton.linearized(ours.manifold, ours.rows, given, at, plan.prior)
+    equations, *_ = gauss_newton.linearized(ours.manifold, ours.rows, given, at, plan.prior)
     factor = gauss_newton.factorized(equations, basis, plan.prior)
     found = _cholesky.conditional(factor, white, drawn, wide)
     both = jnp.where(wide[:, None, None], plan.factor, factor)
