@@ -1,7 +1,7 @@
 /* The passive complementary filter with a magnetometer as a plain loop: one setting after the other, one recording after
  * the other, in float, no history stored. The peer of jaxest's batched filter; same formulas, same initial samples.
  *
- * gyr, acc, mag: (trials, steps, 3); gain: (settings, 2) of K_p, K_i; out: (trials, settings, 4) final quaternions.
+ * gyr, acc, mag: (trials, steps, 3), the latter two unit vectors; gain: (settings, 2) of K_p, K_i; out: (trials, settings, 4) final quaternions.
  */
 #include <math.h>
 
@@ -26,11 +26,6 @@ static void turn(float q[4], const float v[3]) {
     q[1] = x * n;
     q[2] = y * n;
     q[3] = z * n;
-}
-
-static void unit(const float *in, float out[3]) {
-    float n = 1.0f / sqrtf(in[0] * in[0] + in[1] * in[1] + in[2] * in[2]);
-    for (int i = 0; i < 3; i++) out[i] = in[i] * n;
 }
 
 static void matrix(const float q[4], float r[9]) {
@@ -67,9 +62,8 @@ void filter(const float *gyr, const float *acc, const float *mag, float dt, cons
             float q[4], bias[3] = {0, 0, 0}, kp = gain[2 * s], ki = gain[2 * s + 1];
             for (long n = 0; n < steps; n++) {
                 const float *g = gyr + 3 * (t * steps + n);
-                float a[3], m[3], r[9], e[3], v[3];
-                unit(acc + 3 * (t * steps + n), a);
-                unit(mag + 3 * (t * steps + n), m);
+                const float *a = acc + 3 * (t * steps + n), *m = mag + 3 * (t * steps + n);
+                float r[9], e[3], v[3];
                 if (n == 0) {
                     begin(q, a, m);
                     continue;
