@@ -71,7 +71,7 @@ def _exact(gains: Params, carry: Any, sample: Any, used: Sample) -> Any:
     return *parts, after.initialized, after.heading_initialized
 
 
-def _fast(gains: Params, carry: Any, sample: Any, used: Sample, levelled: Array, headed: Array) -> Any:
+def _fast(gains: Any, carry: Any, sample: Any, used: Sample, levelled: Array, headed: Array) -> Any:
     """One sample by components: those of the recordings are (b, 1), of the gains (1, s)."""
     (w, x, y, z), (bx, by, bz), initialized, heading = carry
     dt = sample.dt[:, None]
