@@ -26,11 +26,13 @@ _SUBMODULES = (
     "kinematics",
     "live",
     "manifolds",
+    "mcmc",
     "metrics",
     "models",
     "parallel",
     "simulate",
     "systems",
+    "tuning",
     "types",
     "viz",
 )

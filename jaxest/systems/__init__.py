@@ -9,6 +9,24 @@ joints from IMUs on its links, with `posture_pairs` as the paper has it.
 Not here: the filters themselves (`jaxest.filters`), logs and commands.
 """
 
-from jaxest.systems import deflection, direct_fusion, onsite, onsite_batch, orientation, posture, posture_pairs
+from jaxest.systems import (
+    deflection,
+    direct_fusion,
+    onsite,
+    onsite_batch,
+    onsite_chain,
+    orientation,
+    posture,
+    posture_pairs,
+)
 
-__all__ = ["deflection", "direct_fusion", "onsite", "onsite_batch", "orientation", "posture", "posture_pairs"]
+__all__ = [
+    "deflection",
+    "direct_fusion",
+    "onsite",
+    "onsite_batch",
+    "onsite_chain",
+    "orientation",
+    "posture",
+    "posture_pairs",
+]
