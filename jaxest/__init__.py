@@ -26,6 +26,7 @@ _SUBMODULES = (
     "kinematics",
     "live",
     "manifolds",
+    "mapping",
     "mcmc",
     "metrics",
     "models",

@@ -10,3 +10,25 @@ Start chains from `chains.dispersed` and read `diagnostics.verdict`: one chain c
 `particle_gibbs.baseline` and `particle_mh.baseline` are the samplers of Zakeri 2023. Not here: checkpoints and files
 (`jaxest.io`), and robots (`jaxest.systems.torque`).
 """
+
+from jaxest.mcmc import (
+    chains,
+    conditional_smc,
+    diagnostics,
+    kernel,
+    model,
+    particle_gibbs,
+    particle_mh,
+    twist,
+)
+
+__all__ = [
+    "chains",
+    "conditional_smc",
+    "diagnostics",
+    "kernel",
+    "model",
+    "particle_gibbs",
+    "particle_mh",
+    "twist",
+]

@@ -1,10 +1,14 @@
 """Complete estimators, ready to use: the only place that knows a paper.
 
 `jaxest.systems.NAME.build(robot, sensors, **static) -> System`, whose `default_params`, `init`, `step` and `simulate`
-are all that is needed; `jaxest.filters.run` drives the step. So far: `deflection`, the posture of
-a robot that bends, and `direct_fusion`, its baseline by hand; `orientation`, a single IMU; `onsite`, the pose of
-one IMU relative to another on the same link, live, with `onsite_batch` for a whole recording; `posture`, a robot's
-joints from IMUs on its links, with `posture_pairs` as the paper has it.
+are all that is needed; `jaxest.filters.run` drives the step.
+
+* `orientation`: one IMU. `posture`: a robot's joints from IMUs on its links; `posture_pairs` as the paper has it.
+* `deflection`: the posture of a robot that bends; `direct_fusion` is its baseline by hand.
+* `onsite`: the pose of one IMU relative to another on the same link, live; `onsite_batch` for a whole recording,
+  `onsite_chain` for a robot of modules and sticks.
+* `slam`: where links are, and the room about them; `slam_chain` as the paper has it.
+* `torque`: unknown joint torques; their posterior by `torque_sampler`.
 
 Not here: the filters themselves (`jaxest.filters`), logs and commands.
 """
@@ -18,6 +22,10 @@ from jaxest.systems import (
     orientation,
     posture,
     posture_pairs,
+    slam,
+    slam_chain,
+    torque,
+    torque_sampler,
 )
 
 __all__ = [
@@ -29,4 +37,8 @@ __all__ = [
     "orientation",
     "posture",
     "posture_pairs",
+    "slam",
+    "slam_chain",
+    "torque",
+    "torque_sampler",
 ]
