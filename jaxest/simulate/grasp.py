@@ -116,10 +116,11 @@ def perform(scene: Scene, *, rate_hz: int = 1000) -> Performance:
         late = _smooth((t - scene.rest - 0.5 * scene.close) / (0.5 * scene.close))
         data.xfrc_applied[middle, :3] = late * np.array(scene.push)
         mujoco.mju_axisAngle2Quat(data.mocap_quat[0], _unit(scene.turn), late * np.linalg.norm(scene.turn))
+        row = i // every
+        if i % every == every - 1:
+            q[row] = data.qpos  # sensors and sites are those of the state before the step
         mujoco.mj_step(model, data)
         if i % every == every - 1:
-            row = i // every
-            q[row] = data.qpos
             rate[row], force[row] = data.sensordata.reshape(7, 2, 3).transpose(1, 0, 2)
             for k, site in enumerate(sites):
                 mujoco.mju_mat2Quat(quaternion[row, k], data.site_xmat[site])
