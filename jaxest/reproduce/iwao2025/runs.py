@@ -1,7 +1,11 @@
 """One run of one condition: a room, a motion, readings, an estimate, its figures."""
 
+import atexit
 import functools
 import json
+import multiprocessing
+import os
+import shutil
 import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,8 +46,19 @@ class Made(NamedTuple):
 
 
 def keep(folder: Path | None) -> Path:
-    """Return the folder that keeps simulations and results; one of this machine's for the session if none is given."""
-    return folder or Path(tempfile.gettempdir()) / "jaxest-iwao2025"
+    """Return the folder that keeps simulations and results; without one, simulations are kept until this run ends."""
+    if folder:
+        return folder
+    parent = multiprocessing.parent_process()
+    return _for_now(parent.pid if parent and parent.pid else os.getpid())
+
+
+@functools.cache
+def _for_now(owner: int) -> Path:
+    path = Path(tempfile.gettempdir()) / f"jaxest-iwao2025-{owner}"
+    if owner == os.getpid():
+        atexit.register(shutil.rmtree, path, ignore_errors=True)
+    return path
 
 
 def simulated(one: Condition, plan: Plan, folder: Path | None) -> Made:
