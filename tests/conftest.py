@@ -1,5 +1,6 @@
 """Strict settings for every test: rank promotion raises, warnings are errors, both precisions are at hand."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -16,6 +17,18 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax"))
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+MOST = 4 * 2**30  # bytes of memory with which a worker goes on as it is
+
+
+@pytest.fixture(autouse=True, scope="module")
+def compiled_programs_are_let_go():
+    """Forget compiled programs after a module where they have filled the memory: the whole suite's would not fit."""
+    yield
+    status = Path("/proc/self/statm")
+    if status.is_file() and int(status.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > MOST:
+        jax.clear_caches()
+        gc.collect()
 
 
 @pytest.fixture(params=["float32", "float64"])
