@@ -19,7 +19,7 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 MOST = 20_000
-"""Mappings of memory with which a worker goes on as it is; Linux allows a process 65530, a compiled program takes some."""
+"""Mappings of memory with which a worker goes on as it is; Linux allows 65530, a compiled program takes some."""
 
 
 @pytest.fixture(autouse=True, scope="module")
