@@ -80,13 +80,13 @@ def run(
     whole = read(log, chosen.columns)
     if whole.notes:
         note(f"{log.name}: {'; '.join(whole.notes)}")
-    for doubt in doubtful_units(whole):
-        warn(f"{log.name}: {doubt}")
     kinds = tuple(part.strip() for part in sensors.split(",") if part.strip()) if sensors else None
     request = methods.Request(chosen.method(method), kinds, chosen.nan, robot)
     begun = time.perf_counter()
     with working(f"estimating the {method} ..."):
         outcome = methods.estimate(method, windowed(whole, start, end), request)
+    for doubt in doubtful_units(whole):
+        warn(f"{log.name}: {doubt}")
     took = time.perf_counter() - begun
     rows = [*outcome.rows, Row("run time", "compilation included", took, "s")]
     text = to_json(report(method, rows))

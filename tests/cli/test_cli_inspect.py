@@ -127,7 +127,7 @@ def test_the_config_of_our_own_layout(invoke, tmp_path):
         log.streams[f"imu0/{name}"], log.streams[f"imu1/{name}"] = log.streams[name], log.streams.pop(name)
     write(log, tmp_path / "b.npz")
     found = json.loads(invoke("inspect", "b.npz", "--json").stdout)["config"]
-    assert tomllib.loads(found) == {"orientation": {"imu": "imu0"}}
+    assert tomllib.loads(found) == {"orientation": {"imu": "imu0"}, "onsite": {"first": "imu0", "second": "imu1"}}
 
 
 def test_open_layout_is_shown_with_lines_to_paste(invoke, tmp_path):
