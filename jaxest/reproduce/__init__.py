@@ -25,7 +25,6 @@ PAPERS = {
     "santaera2015": "jaxest.reproduce.santaera2015",
 }
 """Name of a paper whose figures can be computed, and the module that holds them."""
-COMING: tuple[str, ...] = ()
 
 
 class Choice(NamedTuple):
@@ -75,12 +74,10 @@ def parts(paper: str) -> Mapping[str, Part]:
         Functions by name, in the paper's order.
 
     Raises:
-        InputError: an unknown paper, or one that is not there yet; those that are there are listed.
+        InputError: an unknown paper; the closest names are given.
     """
-    if paper in COMING:
-        raise InputError(f"paper {paper!r}: its figures cannot be computed yet; there are: {', '.join(PAPERS)}")
     if paper not in PAPERS:
-        raise unknown_name("paper", paper, [*PAPERS, *COMING])
+        raise unknown_name("paper", paper, PAPERS)
     found: Mapping[str, Part] = importlib.import_module(PAPERS[paper]).PARTS
     return found
 
@@ -125,4 +122,4 @@ def _check(paper: str, choice: Choice) -> None:
         raise InputError(f"--runs: got {choice.runs}, expected at least 1")
 
 
-__all__ = ["COMING", "COMMON", "PAPERS", "Choice", "Part", "Say", "Section", "parts", "sections"]
+__all__ = ["COMMON", "PAPERS", "Choice", "Part", "Say", "Section", "parts", "sections"]
