@@ -72,10 +72,15 @@ def _blind_map(one: Condition, plan: runs.Plan, made: runs.Made) -> np.ndarray:
 
 
 def _row(figure: Any, one: Condition, made: runs.Made, found: runs.Found, blind: np.ndarray) -> None:
-    axes = [figure.add_subplot(1, 3, 1)]
+    picture = rendered(one.links, made)
+    axes = [figure.add_subplot(1, 3, 1, **({"projection": "3d"} if picture is None else {}))]
     axes += [figure.add_subplot(1, 3, k, projection="3d", computed_zorder=False) for k in (2, 3)]
-    axes[0].imshow(rendered(one.links, made))
-    axes[0].set_axis_off()
+    if picture is None:
+        outlines(axes[0], made.room)
+        structure(axes[0], found.truth[-1], one.links, canvas.BLUE, "structure", 2.5)
+    else:
+        axes[0].imshow(picture)
+        axes[0].set_axis_off()
     axes[0].set_title(f"{one.links} links, scene", fontsize=10)
     chart, used = found.state.chart, int(found.state.chart.used)
     clouds = ((np.asarray(chart.point)[:used], found.position[-1], "estimate"), (blind, found.blind[-1], "kinematics"))
@@ -110,8 +115,22 @@ def structure(axis: Any, place: np.ndarray, links: int, colour: str, label: str,
     axis.plot(*line.T, "o", color=colour, ms=width)
 
 
-def rendered(links: int, made: runs.Made, free: bool = False) -> np.ndarray:
-    """Return a picture (h, w, 3) of the scene at its last sample; blank where this machine renders nothing."""
+def outlines(axis: Any, room: rooms.Room) -> None:
+    """Draw the edges of the room and of what stands in it."""
+    inside = ((room.lower + room.upper) / 2, (room.upper - room.lower) / 2)
+    for center, half in (inside, *zip(room.centers[6:], room.halves[6:], strict=True)):
+        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half + center
+        for a in range(8):
+            for b in (a ^ 1, a ^ 2, a ^ 4):
+                if a < b:
+                    axis.plot(*corners[[a, b]].T, color="0.55" if half is inside[1] else "#b08040", lw=0.8)
+    axis.set_box_aspect(room.upper - room.lower)
+    axis.view_init(elev=32, azim=-50)
+    axis.tick_params(labelsize=7)
+
+
+def rendered(links: int, made: runs.Made, free: bool = False) -> np.ndarray | None:
+    """Return a picture (h, w, 3) of the scene at its last sample, None where this machine renders nothing."""
     import mujoco
 
     model = proximity.compiled(rooms.scene(links, made.room, free=free))
@@ -127,8 +146,8 @@ def rendered(links: int, made: runs.Made, free: bool = False) -> np.ndarray:
             option.geomgroup[3] = 1
             renderer.update_scene(data, camera, option)
             return renderer.render()
-    except (RuntimeError, OSError, AttributeError, ImportError):  # no graphics here
-        return np.full((72, 96, 3), 240, np.uint8)
+    except (mujoco.FatalError, RuntimeError, OSError, AttributeError, ImportError):  # no graphics here
+        return None
 
 
-__all__ = ["cloud", "fig2", "rendered", "structure"]
+__all__ = ["cloud", "fig2", "outlines", "rendered", "structure"]
