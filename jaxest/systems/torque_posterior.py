@@ -98,9 +98,9 @@ def collect(
 
 def unidentified(prior: Prior, posterior: Posterior) -> list[bool]:
     """Say of each variance whether its posterior is about its prior: the data do not identify it."""
-    from jax.scipy.special import polygamma
+    from scipy.special import polygamma  # on the host: JAX's own would follow its precision switch
 
-    known = np.sqrt(np.asarray(polygamma(1, prior.alpha)))  # standard deviation of the log of an inverse-gamma
+    known = np.sqrt(polygamma(1, np.asarray(prior.alpha)))  # standard deviation of the log of an inverse-gamma
     sd = np.log(posterior.variances).reshape(-1, len(known)).std(axis=0)
     return [bool(s > IDENTIFIED * k) for s, k in zip(sd, known, strict=True)]
 

@@ -30,7 +30,7 @@ def test_parts_are_named(invoke):
     ("words", "part"),
     [
         (("sato2032",), "sato2023"),
-        (("zakeri2023",), "there are: sato2023"),
+        (("kalman1960",), "known: sato2023, sato2024"),
         (("sato2023", "--part", "fig22"), "fig2"),
         (("sato2023", "--runs", "3"), "--runs: sato2023 has no such choice; it takes --seed, --small"),
     ],
