@@ -85,11 +85,13 @@ def build(source: str | Path, *, contacts: bool = False, constraints: bool = Tru
 
     Raises:
         FileNotFoundError: no such file.
-        InputError: the file is no robot, or MJX cannot simulate it; the message says what is missing.
+        InputError: the file is no robot, or MJX cannot simulate it, or a range finder would look through a shape that
+            MJX casts no rays at; the message says what is missing.
     """
     import mujoco
 
     model = compile_model(source)
+    ranging = _rays(model, source if str(source)[:1] != "<" else "robot text")
     if not contacts:
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         model.geom_contype[:] = 0
@@ -102,9 +104,31 @@ def build(source: str | Path, *, contacts: bool = False, constraints: bool = Tru
         raise InputError(
             f"{source if str(source)[:1] != '<' else 'robot text'}: MJX cannot simulate it: {error}"
         ) from None
+    if ranging and not model.nmat:  # its rays look a material up for every shape, also for those without one
+        ours = ours.replace(mat_rgba=jnp.ones((1, 4), ours.geom_rgba.dtype))
     names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SENSOR, i) or f"sensor{i}" for i in range(model.nsensor)]
     ends = [(int(a), int(a + n)) for a, n in zip(model.sensor_adr, model.sensor_dim, strict=True)]
     return Backend(load(source), ours, mjx.make_data(ours), tuple(names), tuple(ends))
+
+
+def _rays(model: Any, source: Any) -> bool:
+    """Tell whether there are range finders; refuse shapes that MJX lets their rays pass through."""
+    import mujoco
+
+    eyes = model.sensor_objid[model.sensor_type == int(mujoco.mjtSensor.mjSENS_RANGEFINDER)]
+    kinds = [int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}")) for kind in ("CYLINDER", "HFIELD", "SDF")]
+    own = {int(body) for body in model.site_bodyid[eyes]}
+    unseen = [
+        model.geom(i).name or f"geom{i} of body {model.body(model.geom_bodyid[i]).name}"
+        for i in range(model.ngeom)
+        if model.geom_type[i] in kinds and model.geom_rgba[i, 3] > 0 and own - {int(model.geom_bodyid[i])}
+    ]
+    if unseen:
+        raise InputError(
+            f"{source}: range finders of MJX look through cylinders, height fields and SDFs: {', '.join(unseen[:5])}; "
+            'give them another shape (capsule, box, mesh), or rgba="0 0 0 0" if they shall not be seen'
+        )
+    return len(eyes) > 0
 
 
 def _at(backend: Backend, q: ArrayLike, v: ArrayLike | None = None) -> Any:

@@ -91,3 +91,25 @@ def test_a_resting_arm_feels_one_g():
 def test_what_mjx_lacks_is_named():
     with pytest.raises(InputError, match=r"MJX cannot simulate it: .*CYLINDER.*BOX"):
         mjx.build(models.path("arm"), contacts=True)
+
+
+SCENE = """<mujoco><worldbody>
+<geom type="box" size="0.1 1 1" pos="1 0 0.5"/><geom type="{kind}" name="pole" size="0.1 0.5" pos="-1 0.1 0.5"/>
+<body pos="0 0 0.5"><joint axis="0 0 1"/><geom type="cylinder" size="0.05 0.05"/>
+<site name="eye" euler="0 90 0" pos="0.1 0 0"/><site name="back" euler="0 -90 0" pos="-0.1 0 0"/></body>
+</worldbody><sensor><rangefinder name="ahead" site="eye"/><rangefinder name="behind" site="back"/></sensor></mujoco>"""
+
+
+def test_range_finders_read_what_those_of_c_read():
+    """Nothing there has a material, which MJX's rays ask for; the sensor's own body is not seen."""
+    text = SCENE.format(kind="capsule")
+    backend, model = mjx.build(text), mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    look = QUICK(lambda q: mjx.step(backend, mjx.State(q, jnp.zeros(1)), jnp.zeros(1))[1])
+    for angle in (0.1, -0.02, 1.5):
+        data.qpos[:] = angle
+        mujoco.mj_forward(model, data)
+        found = look(jnp.array([angle]))
+        np.testing.assert_allclose([found["ahead"][0], found["behind"][0]], data.sensordata, rtol=1e-5)
+    with pytest.raises(InputError, match=r"range finders of MJX look through cylinders.*pole"):
+        mjx.build(SCENE.format(kind="cylinder"))
