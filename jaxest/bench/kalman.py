@@ -67,10 +67,10 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
         small: a few filters and samples.
 
     Yields:
-        Time of a live step, of a step of one filter, of 1024 filters at once, and of the smoother with one and with
+        Time of a live step, of a step of one filter, of 256 filters at once, and of the smoother with one and with
         several linearisations; and the times to compile.
     """
-    count, steps = (3, 5) if small else (1024, 200)
+    count, steps = (3, 5) if small else (256, 100)
     noise = Noise()
     samples, one = simulated(noise, count, steps), simulated(noise, 1, steps)
     alone = jax.tree.map(lambda x: x[0], one)
@@ -84,22 +84,25 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
 
     step = jax.jit(partial(kalman.filter_step(MODEL), noise))
     first = jax.tree.map(lambda x: x[0], alone)
-    progress("compiling")
-    candidates = [
-        candidate("live step", step, start, first),
-        candidate("filter", jax.jit(filtered), alone, items=steps),
-        candidate("batched filter", jax.jit(jax.vmap(filtered)), samples, items=count * steps),
-        candidate("smoother", jax.jit(partial(smoothed, 1)), alone, items=steps),
-        candidate("batched smoother", jax.jit(jax.vmap(partial(smoothed, 1))), samples, items=count * steps),
-        candidate("iterated smoother", jax.jit(partial(smoothed, 10)), alone, items=steps),
-    ]
+    programs: tuple[tuple[str, Any, tuple[Any, ...], int], ...] = (
+        ("live step", step, (start, first), 1),
+        ("filter", jax.jit(filtered), (alone,), steps),
+        ("batched filter", jax.jit(jax.vmap(filtered)), (samples,), count * steps),
+        ("smoother", jax.jit(partial(smoothed, 1)), (alone,), steps),
+        ("batched smoother", jax.jit(jax.vmap(partial(smoothed, 1))), (samples,), count * steps),
+        ("iterated smoother", jax.jit(partial(smoothed, 10)), (alone,), steps),
+    )
+    candidates = []
+    for name, program, arguments, items in programs:
+        progress(f"compiling {name}")
+        candidates.append(candidate(name, program, *arguments, items=items))
     loop = Loop(DT, *noise, EARTH)
     arrays = [np.asarray(x, np.float64) for x in (alone.gyroscope.value, alone.directions.value)]
     if peers:
         candidates.append(Candidate("filter in NumPy", lambda: loop.filter(*arrays), steps))
         candidates.append(Candidate("smoother in NumPy", lambda: loop.smooth(*arrays), steps))
     progress("timing")
-    found = race(candidates, repeats=2 if small else 15)
+    found = race(candidates, repeats=2 if small else 7)
     for name, what in (
         ("live step", "called from Python and waited for"),
         ("filter", f"one filter, {steps} steps"),
