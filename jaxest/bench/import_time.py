@@ -4,10 +4,16 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterable
 
+import numpy as np
+
 from jaxest.bench.harness import Candidate, Progress, compare, race
 from jaxest.io.report import Row
 
-SUBPACKAGES = ("filters", "io", "kinematics", "manifolds", "metrics", "models", "simulate", "systems", "types")
+SUBPACKAGES = (
+    "calibration", "derivatives", "distributions", "filters", "io", "kinematics", "live", "manifolds", "mapping",
+    "mcmc", "metrics", "models", "parallel", "sensors", "simulate", "systems", "tuning", "types",
+)  # fmt: skip
+"""All that a program may import without a backend; host-side `bench`, `cli`, `reproduce`, `viz` are not among them."""
 
 
 def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Row]:
@@ -19,18 +25,25 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
         small: one round instead of nine.
 
     Yields:
-        One row for `import jax` and one for jaxest with all subpackages, both with Python's own start.
+        Of jaxest alone, of each subpackage, and of all of them: the whole interpreter's time beside that of
+        `import jax`, Python's own start in both, and the median difference within a round.
     """
     del peers
     progress("importing in fresh interpreters")
-    everything = "from jaxest import " + ", ".join(SUBPACKAGES)
-    timings = race(
-        [Candidate("import jax", _importer("import jax")), Candidate("import jaxest", _importer(everything))],
-        repeats=1 if small else 9,
-        min_time=0.0,
-    )
-    jax_alone, ours = timings["import jax"], timings["import jaxest"]
-    yield compare("import", "jaxest and its subpackages, fresh interpreter", ours, jax_alone, unit="s")
+    programs = {
+        "import jax": "import jax",
+        "import jaxest": "import jax, jaxest",
+        "jaxest and its subpackages": "import jax; from jaxest import " + ", ".join(SUBPACKAGES),
+    }
+    if not small:
+        programs |= {f"jaxest.{name}": f"import jax, jaxest.{name}" for name in SUBPACKAGES}
+    candidates = [Candidate(name, _importer(code)) for name, code in programs.items()]
+    timings = race(candidates, repeats=1 if small else 7, min_time=0.0)
+    alone = timings.pop("import jax")
+    for name, timing in timings.items():
+        yield compare("import", f"{name}, fresh interpreter", timing, alone, unit="s")
+        over = timing.seconds - alone.seconds
+        yield Row("over import jax", name, float(np.median(over)), "s", n=len(over))
 
 
 def _importer(code: str) -> Callable[[], object]:
