@@ -7,6 +7,8 @@ CODE = """
 import sys
 import jaxest
 from jaxest import filters, io, kinematics, manifolds, metrics, systems, types
+for name in systems.__all__:
+    getattr(systems, name)
 heavy = {"mujoco", "matplotlib", "optax", "rich", "typer"} & set(sys.modules)
 assert not heavy, heavy
 from jax._src import xla_bridge

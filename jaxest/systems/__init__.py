@@ -10,23 +10,11 @@ are all that is needed; `jaxest.filters.run` drives the step.
 * `slam`: where links are, and the room about them; `slam_chain` as the paper has it.
 * `torque`: unknown joint torques; their posterior by `torque_sampler`.
 
-Not here: the filters themselves (`jaxest.filters`), logs and commands.
+Each loads on first use. Not here: the filters themselves (`jaxest.filters`), logs and commands.
 """
 
-from jaxest.systems import (
-    deflection,
-    direct_fusion,
-    onsite,
-    onsite_batch,
-    onsite_chain,
-    orientation,
-    posture,
-    posture_pairs,
-    slam,
-    slam_chain,
-    torque,
-    torque_sampler,
-)
+import importlib
+from typing import Any
 
 __all__ = [
     "deflection",
@@ -42,3 +30,13 @@ __all__ = [
     "torque",
     "torque_sampler",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        return importlib.import_module(f"jaxest.systems.{name}")
+    raise AttributeError(f"module 'jaxest.systems' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
