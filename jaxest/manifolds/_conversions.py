@@ -20,12 +20,13 @@ def to_matrix(q: ArrayLike) -> Array:
     q = as_array("q", q, 4)
     (w, x, y, z), t = q, 2 * q
     tx, ty, tz = t[1:]
+    # Three rows of three: XLA on CPU makes one kernel of it, and ten of nine numbers in a row.
     rows = [
-        1 - ty * y - tz * z, tx * y - tz * w, tx * z + ty * w,
-        tx * y + tz * w, 1 - tx * x - tz * z, ty * z - tx * w,
-        tx * z - ty * w, ty * z + tx * w, 1 - tx * x - ty * y,
-    ]  # fmt: skip
-    return jnp.stack(rows).reshape(3, 3)
+        [1 - ty * y - tz * z, tx * y - tz * w, tx * z + ty * w],
+        [tx * y + tz * w, 1 - tx * x - tz * z, ty * z - tx * w],
+        [tx * z - ty * w, ty * z + tx * w, 1 - tx * x - ty * y],
+    ]
+    return jnp.stack([jnp.stack(row) for row in rows])
 
 
 def longest_row(outer: Array) -> Array:

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 
 from jaxest.filters import kalman
 from jaxest.filters.attitude import rest as resting
-from jaxest.filters.attitude.ekf_state import Info, Params, State, init
+from jaxest.filters.attitude.ekf_state import Info, Memory, Params, State, closed, init, opened
 from jaxest.filters.attitude.field import heading_slope, mahalanobis, trust
 from jaxest.filters.attitude.motion import MANIFOLD, Track, begin, carry, integrate
 from jaxest.filters.attitude.readings import Sample, length, levelled, northward, usable
@@ -46,91 +46,94 @@ def step(params: Params, state: State, measurement: Imu, *, key: Array | None = 
     Raises:
         ValueError: a sensor's value is not (3,), or `valid` or `dt` is not a scalar.
     """
-    dtype = state.unit.dtype
+    dtype = state.numbers.dtype
     params = jax.tree.map(lambda x: jnp.asarray(x, dtype), params)
     sample = usable(measurement, dtype)
     after = advance(params, state, sample)
-    due = after.initialized & (after.since.time + sample.dt / 2 >= params.interval)  # to the nearest sample
+    memory = opened(after)
+    due = memory.initialized & (memory.since.time + sample.dt / 2 >= params.interval)  # to the nearest sample
     after = jax.lax.cond(due, correct, lambda params, state: state, params, after)
     after = after._replace(index=state.index + 1)
-    valid = after.initialized
-    if measurement.magnetometer is not None:
-        valid = valid & after.heading_initialized
-    info = describe(params, after, valid, seen=measurement.magnetometer is not None)
+    memory, seen = opened(after), measurement.magnetometer is not None
+    valid = memory.initialized & memory.heading_initialized if seen else memory.initialized
+    info = describe(params, memory, (after.upper, after.lower), valid, seen=seen)
     return after, info._replace(status=jnp.maximum(sample.status, info.status))
 
 
 def advance(params: Params, state: State, sample: Sample) -> State:
     """Integrate a sample, or let it set the orientation if it is the first of its kind."""
-    acc, mag = sample.accelerometer, sample.magnetometer
-    unit = jnp.where(mag.valid & ~state.heading_initialized, jnp.where(mag.valid, length(mag.value), 1), state.unit)
+    before, acc, mag = opened(state), sample.accelerometer, sample.magnetometer
+    unit = jnp.where(mag.valid & ~before.heading_initialized, jnp.where(mag.valid, length(mag.value), 1), before.unit)
     sample = sample._replace(magnetometer=mag._replace(value=mag.value / unit))
-    moved, since = integrate(state.track, state.since, sample, params.hold)
-    new = acc.valid & ~state.initialized
-    initialized = state.initialized | acc.valid
+    moved, since = integrate(before.track, before.since, sample, params.hold)
+    new = acc.valid & ~before.initialized
+    initialized = before.initialized | acc.valid
     level = levelled(acc.value)
-    start = state.track._replace(orientation=jnp.where(new, level, state.track.orientation))
-    track = jax.tree.map(lambda a, b: jnp.where(state.initialized, a, b), moved, start)
-    since = jax.tree.map(lambda a, b: jnp.where(state.initialized, a, b), since, begin(acc.value.dtype))
-    covariance = jnp.where(new, state.covariance + _first_spread(params, acc.value), state.covariance)
-    field = initialized & mag.valid & ~state.heading_initialized
+    start = before.track._replace(orientation=jnp.where(new, level, before.track.orientation))
+    track = jax.tree.map(lambda a, b: jnp.where(before.initialized, a, b), moved, start)
+    since = jax.tree.map(lambda a, b: jnp.where(before.initialized, a, b), since, begin(acc.value.dtype))
+    field = initialized & mag.valid & ~before.heading_initialized
     seen = quat.rotate(track.orientation, sample.magnetometer.value)
     since = jax.tree.map(lambda a, b: jnp.where(field, a, b), since._replace(field=0 * seen, fields=0 * unit), since)
-    track = track._replace(field=jnp.where(field, seen, track.field))
-    known = jnp.diag(jnp.where(jnp.arange(16) < 13, 0, params.field**2))
-    return state._replace(
-        track=track,
-        covariance=jnp.where(field, covariance + known, covariance),
+    memory = before._replace(
+        track=track._replace(field=jnp.where(field, seen, track.field)),
         since=since,
-        stillness=resting.watch(params.rest, state.stillness, sample),
-        unit=jnp.where(field, unit, state.unit),
+        stillness=resting.watch(params.rest, before.stillness, sample),
+        unit=jnp.where(field, unit, before.unit),
         initialized=initialized,
-        heading_initialized=state.heading_initialized | field,
+        heading_initialized=before.heading_initialized | field,
     )
+
+    def widened() -> tuple[Array, Array]:
+        known = jnp.diag(jnp.where(jnp.arange(16) < 13, 0, params.field**2))[8:]
+        upper = jnp.where(new, state.upper + _first_spread(params, acc.value)[:8], state.upper)
+        return upper, jnp.where(field, state.lower + known, state.lower)
+
+    upper, lower = jax.lax.cond(new | field, widened, lambda: (state.upper, state.lower))
+    return closed(memory, upper, lower, state.index)
 
 
 def correct(params: Params, state: State) -> State:
     """Carry the covariance over the samples since the last correction, and correct."""
-    belief = predicted(params, state)
-    factors, weights, doubt = news(params, state, belief)
+    memory = opened(state)
+    belief = predicted(params, memory, state.covariance)
+    factors, weights, doubt = news(params, memory, belief)
     belief, _ = kalman.update(MANIFOLD, belief, factors)
-    weights = jnp.where(jnp.stack([jnp.bool_(True), state.since.fields > 0]), weights, state.weights)
-    finite = jnp.isfinite(jnp.sum(belief.covariance))
-    return state._replace(
+    memory = memory._replace(
         track=belief.mean,
-        covariance=belief.covariance,
-        since=begin(state.unit.dtype),
+        since=begin(state.numbers.dtype),
         doubt=doubt,
-        weights=weights,
-        status=jnp.where(finite, OK, NOT_CONVERGED).astype(jnp.int32),
+        weights=jnp.where(jnp.stack([jnp.bool_(True), memory.since.fields > 0]), weights, memory.weights),
+        lost=~jnp.isfinite(jnp.sum(belief.covariance)),
     )
+    return closed(memory, belief.covariance[:8], belief.covariance[8:], state.index)
 
 
-def predicted(params: Params, state: State) -> kalman.Gaussian:
+def predicted(params: Params, memory: Memory, covariance: Array) -> kalman.Gaussian:
     """Return the belief before a correction."""
-    transition, noise = carry(state.track.scale, state.since), process_noise(params, state)
-    before = kalman.Gaussian(state.track, state.covariance)
+    transition, noise = carry(memory.track.scale, memory.since), process_noise(params, memory)
+    before = kalman.Gaussian(memory.track, covariance)
     return kalman.predict(MANIFOLD, before, lambda x: x, jnp.diag(noise), jacobian=lambda x: transition)
 
 
-def process_noise(params: Params, state: State) -> Array:
+def process_noise(params: Params, memory: Memory) -> Array:
     """Return the variances (16,) that the samples since the last correction add."""
-    since, one = state.since, jnp.ones(3, state.unit.dtype)
+    since, one = memory.since, jnp.ones(3, memory.unit.dtype)
     rotation = (
         params.gyroscope**2 * since.time
         + 2 * params.turn_time * params.misalignment**2 * since.stir
         + params.unseen_rotation**2 * since.blind
     )
     force = params.accelerometer**2 * since.time + params.unseen_force**2 * since.afloat
-    lost = state.doubt > params.rejection_time
+    lost = memory.doubt > params.rejection_time
     field = params.field_walk**2 + jnp.where(lost, params.field**2, 0)
     spread = [rotation * one, force * one[:2], 0 * one[:2], params.bias_walk**2 * since.time * one, 0 * one]
-    return jnp.concatenate([*spread, jnp.where(state.heading_initialized, field * since.time, 0) * one])
+    return jnp.concatenate([*spread, jnp.where(memory.heading_initialized, field * since.time, 0) * one])
 
 
-def news(params: Params, state: State, belief: kalman.Gaussian) -> tuple[list[kalman.Factor], Array, Array]:
+def news(params: Params, memory: Memory, belief: kalman.Gaussian) -> tuple[list[kalman.Factor], Array, Array]:
     """Return what is measured at a correction, its weights (2,), and for how long the field has been in doubt."""
-    since, covariance, dtype = state.since, belief.covariance, state.unit.dtype
+    since, covariance, dtype = memory.since, belief.covariance, memory.unit.dtype
     nominal = belief.mean.orientation
     time = jnp.where(since.time > 0, since.time, 1)
     some = since.time > 0
@@ -153,8 +156,8 @@ def news(params: Params, state: State, belief: kalman.Gaussian) -> tuple[list[ka
     room = params.field**2
     expected = _sandwich(design, covariance) + room * jnp.eye(3, dtype=dtype)
     weight_mag = trust(params.tail, mahalanobis(field - belief.mean.field, expected), 3)
-    there = (since.fields > 0) & state.heading_initialized
-    doubt = jnp.where(weight_mag < 0.5, state.doubt + since.time, 0)
+    there = (since.fields > 0) & memory.heading_initialized
+    doubt = jnp.where(weight_mag < 0.5, memory.doubt + since.time, 0)
 
     def magnetic(x: Track) -> Array:
         turn = quat.compose(x.orientation, quat.inverse(nominal))
@@ -162,7 +165,7 @@ def news(params: Params, state: State, belief: kalman.Gaussian) -> tuple[list[ka
 
     rate = since.rate / jnp.where(since.rates > 0, since.rates, 1)
     sway = params.gyroscope**2 / time + params.rest_rate**2 * still
-    at_rest = (state.stillness.time >= params.rest.time) & (since.rates > 0) & some
+    at_rest = (memory.stillness.time >= params.rest.time) & (since.rates > 0) & some
     factors = [
         kalman.Factor(motion, usual * still / weight_acc, jnp.broadcast_to(some, 4)),
         kalman.Factor(
@@ -172,30 +175,48 @@ def news(params: Params, state: State, belief: kalman.Gaussian) -> tuple[list[ka
         ),
         kalman.Factor(lambda x: rate - x.bias, jnp.full(3, sway, dtype), jnp.broadcast_to(at_rest, 3)),
     ]
-    return factors, jnp.stack([weight_acc, weight_mag]), jnp.where(there, doubt, state.doubt)
+    return factors, jnp.stack([weight_acc, weight_mag]), jnp.where(there, doubt, memory.doubt)
 
 
-def describe(params: Params, state: State, valid: Array, *, seen: bool) -> Info:
-    """Return the estimate in the earth frame with its covariance in the sensor frame."""
-    track, dtype = state.track, state.unit.dtype
+def describe(params: Params, memory: Memory, covariance: tuple[Array, Array], valid: Array, *, seen: bool) -> Info:
+    """Return the estimate in the earth frame with its covariance in the sensor frame.
+
+    Args:
+        params: noise.
+        memory: the estimate.
+        covariance: (8, 16) first and (8, 16) last rows of that of its errors.
+        valid: () bool, goes into the info.
+        seen: whether there is a magnetometer.
+
+    Returns:
+        The info.
+    """
+    track, dtype = memory.track, memory.unit.dtype
     north = northward(track.field)
     quaternion = quat.normalize(quat.compose(north, track.orientation))
-    quaternion = jnp.where(state.heading_initialized, quaternion, track.orientation)
-    matrix = quat.to_matrix(track.orientation)
+    quaternion = jnp.where(memory.heading_initialized, quaternion, track.orientation)
+    upper, lower = covariance
     # theta = R' (error of the orientation, plus the field's turn about the vertical)
-    turn = jnp.where(state.heading_initialized, heading_slope(track.field), 0)
-    up = jnp.array([0, 0, 1], dtype)
-    map_ = jnp.concatenate([jnp.eye(3, dtype=dtype), jnp.zeros((3, 10), dtype), up[:, None] * turn[None, :]], axis=1)
-    earth = _sandwich(map_, state.covariance)
-    free = jnp.where(seen & ~state.heading_initialized, jnp.pi**2 / 3, 0)
+    turn = jnp.where(memory.heading_initialized, heading_slope(track.field), 0)
+    across = jnp.sum(upper[:3, 13:] * turn[None, :], axis=1)
+    about = jnp.sum(jnp.sum(lower[5:, 13:] * turn[None, :], axis=1) * turn)
+    free = jnp.where(seen & ~memory.heading_initialized, jnp.pi**2 / 3, 0)
     lasting = (params.accelerometer_bias / params.gravity) ** 2
-    earth = earth + jnp.diag(jnp.stack([lasting, lasting, jnp.asarray(free, dtype)]))
-    covariance = _sandwich(matrix.T, earth)
+    up = jnp.array([0, 0, 1], dtype)
+    diagonal = jnp.stack([lasting, lasting, jnp.asarray(about + free, dtype)])
+    earth = upper[:3, :3] + across[:, None] * up[None, :] + up[:, None] * across[None, :] + jnp.diag(diagonal)
+    covariance_here = _sandwich(quat.to_matrix(track.orientation).T, earth)
     unknown = jnp.eye(3, dtype=dtype) * (jnp.pi**2 / 3)
-    covariance = jnp.where(state.initialized, (covariance + covariance.T) / 2, unknown)
-    rest = state.stillness.time >= params.rest.time
     return Info(
-        quaternion, track.bias, track.scale, state.weights[0], state.weights[1], rest, valid, state.status, covariance
+        quaternion,
+        track.bias,
+        track.scale,
+        memory.weights[0],
+        memory.weights[1],
+        memory.stillness.time >= params.rest.time,
+        valid,
+        jnp.where(memory.lost, NOT_CONVERGED, OK).astype(jnp.int32),
+        jnp.where(memory.initialized, (covariance_here + covariance_here.T) / 2, unknown),
     )
 
 

@@ -1,6 +1,8 @@
 """Parameters, state and info of the error-state Kalman filter `ekf`."""
 
-from typing import NamedTuple
+import itertools
+import math
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -69,15 +71,13 @@ class Params(NamedTuple):
     """When the IMU counts as resting."""
 
 
-class State(NamedTuple):
-    """What the next step needs."""
+class Memory(NamedTuple):
+    """What the next step needs, by name; `opened` gives it of a `State` and `closed` makes one of it."""
 
     track: Track
     """The estimate."""
-    covariance: Array
-    """(16, 16) of its errors at the last correction."""
     since: Since
-    """Sums since then."""
+    """Sums over the samples since the last correction."""
     stillness: resting.Stillness
     """Memory of the rest detection."""
     doubt: Array
@@ -86,14 +86,34 @@ class State(NamedTuple):
     """() norm of the first magnetometer reading."""
     weights: Array
     """(2,) what the last correction weighed movement and field with, in [0, 1]."""
-    status: Array
-    """() int32 of the last correction."""
-    index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
-    """() int32, steps seen."""
+    lost: Array
+    """() bool, whether the last correction left a covariance that is not finite."""
     initialized: Array
     """() bool, whether an accelerometer sample has set the inclination."""
     heading_initialized: Array
     """() bool, whether a magnetometer sample has set the heading."""
+
+
+class State(NamedTuple):
+    """What the next step needs, in few arrays of at most 512 bytes in float32.
+
+    Called sample by sample, every array of a state costs microseconds; and as long as no array of a program is larger,
+    XLA on CPU runs its small kernels one after the other instead of handing them from thread to thread.
+    """
+
+    numbers: Array
+    """(66,) all that `Memory` names, one leaf after the other."""
+    upper: Array
+    """(8, 16) first rows of the covariance of the errors at the last correction."""
+    lower: Array
+    """(8, 16) its last rows."""
+    index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
+    """() int32, steps seen."""
+
+    @property
+    def covariance(self) -> Array:
+        """(16, 16) of the errors at the last correction."""
+        return jnp.concatenate([self.upper, self.lower], axis=-2)
 
 
 class Info(NamedTuple):
@@ -137,19 +157,42 @@ def init(params: Params, *, key: Array | None = None) -> State:
     one = jnp.ones(3, dtype)
     spread = [one * 0, two, two, one * params.initial_bias, one * params.initial_scale, one * 0]
     covariance = jnp.diag(jnp.concatenate([jnp.asarray(s, dtype) for s in spread]) ** 2)
-    return State(
-        Track(quat.identity(dtype), two, two, three, three, three),
-        covariance,
-        begin(dtype),
-        resting.begin(dtype),
-        zero,
-        zero + 1,
-        jnp.ones(2, dtype),
-        jnp.zeros((), jnp.int32),
-        jnp.zeros((), jnp.int32),
-        no,
-        no,
-    )
+    track = Track(quat.identity(dtype), two, two, three, three, three)
+    memory = Memory(track, begin(dtype), resting.begin(dtype), zero, zero + 1, jnp.ones(2, dtype), no, no, no)
+    return closed(memory, covariance[:8], covariance[8:], jnp.zeros((), jnp.int32))
 
 
-__all__ = ["Info", "Params", "State", "init"]
+def opened(state: State) -> Memory:
+    """Return what a state (not a batch of them) holds, by name."""
+    parts = jnp.split(state.numbers, list(itertools.accumulate(math.prod(shape) for shape, _ in _LEAVES))[:-1])
+    leaves = [
+        part.reshape(shape) > 0 if flag else part.reshape(shape)
+        for part, (shape, flag) in zip(parts, _LEAVES, strict=True)
+    ]
+    memory: Memory = jax.tree.unflatten(_STRUCTURE, leaves)
+    return memory
+
+
+def closed(memory: Memory, upper: Array, lower: Array, index: Array) -> State:
+    """Return the state of its parts."""
+    numbers = [jnp.asarray(leaf, upper.dtype).reshape(-1) for leaf in jax.tree.leaves(memory)]
+    return State(jnp.concatenate(numbers), upper, lower, index)
+
+
+def _layout() -> tuple[list[tuple[tuple[int, ...], bool]], Any]:
+    """Shape of each leaf of a `Memory` and whether it is a flag, and how they make one."""
+
+    def shape(*sizes: int, flag: bool = False) -> Any:
+        return jax.ShapeDtypeStruct(sizes, bool if flag else float)
+
+    one, two, three, flag = shape(), shape(2), shape(3), shape(flag=True)
+    track = Track(shape(4), two, two, three, three, three)
+    since = Since(one, shape(3, 3), shape(3, 3), three, one, one, one, three, one, three, one)
+    still = resting.Stillness(three, three, one, shape(2, flag=True))
+    leaves, structure = jax.tree.flatten(Memory(track, since, still, one, one, two, flag, flag, flag))
+    return [(leaf.shape, leaf.dtype == bool) for leaf in leaves], structure
+
+
+_LEAVES, _STRUCTURE = _layout()
+
+__all__ = ["Info", "Memory", "Params", "State", "closed", "init", "opened"]

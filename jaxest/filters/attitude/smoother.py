@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxest.filters.attitude import ekf, motion
+from jaxest.filters.attitude.ekf_state import Memory, opened
 from jaxest.filters.attitude.motion import MANIFOLD, Track
 from jaxest.filters.attitude.readings import usable
 from jaxest.filters.complementary import Imu
@@ -31,7 +32,7 @@ class _Node(NamedTuple):
     """(block,) share of the block's time that has passed at each sample."""
     ahead: Track
     """before the correction"""
-    state: ekf.State
+    state: Memory
     """after it"""
     known: Array
     """() bool, whether there was an orientation before the block"""
@@ -70,7 +71,7 @@ def smooth(params: ekf.Params, state0: ekf.State, measurements: Imu, *, block: i
 
 @partial(jax.jit, static_argnums=0)
 def _smooth(block: int, params: ekf.Params, state0: ekf.State, measurements: Imu) -> ekf.Info:
-    dtype = state0.unit.dtype
+    dtype = state0.numbers.dtype
     params = jax.tree.map(lambda x: jnp.asarray(x, dtype), params)
     length = jnp.shape(measurements.dt)[0]
     blocks = jax.tree.map(lambda x: _cut(x, block), _padded(measurements, -length % block))
@@ -101,17 +102,20 @@ def _forward(params: ekf.Params, before: ekf.State, samples: Imu) -> tuple[ekf.S
     """Filter one block, and write down the linear model of the deviations from what the filter found."""
 
     def move(state: ekf.State, measurement: Imu) -> tuple[ekf.State, Any]:
-        sample = usable(measurement, state.unit.dtype)
+        sample = usable(measurement, state.numbers.dtype)
         state = ekf.advance(params, state, sample)
-        kept = state.track, state.since.time, state.initialized, state.heading_initialized, sample.status
+        memory = opened(state)
+        kept = memory.track, memory.since.time, memory.initialized, memory.heading_initialized, sample.status
         return state._replace(index=state.index + 1), kept
 
-    moved, (path, time, valid, headed, status) = jax.lax.scan(move, before, samples)
-    belief = ekf.predicted(params, moved)
-    after = ekf.correct(params, moved)
-    after = jax.tree.map(lambda a, b: jnp.where(moved.initialized, a, b), after, moved)
+    ahead, (path, time, valid, headed, status) = jax.lax.scan(move, before, samples)
+    moved, initialized = opened(ahead), opened(before).initialized
+    belief = ekf.predicted(params, moved, ahead.covariance)
+    corrected = ekf.correct(params, ahead)
+    corrected = jax.tree.map(lambda a, b: jnp.where(moved.initialized, a, b), corrected, ahead)
+    after = opened(corrected)
     transition = motion.carry(moved.track.scale, moved.since)
-    fresh = jnp.maximum(jnp.diagonal(moved.covariance) - jnp.diagonal(before.covariance), 0)
+    fresh = jnp.maximum(jnp.diagonal(ahead.covariance) - jnp.diagonal(before.covariance), 0)
     noise = [transition * jnp.sqrt(fresh)[None, :], jnp.diag(jnp.sqrt(ekf.process_noise(params, moved)))]
     factors, _, _ = ekf.news(params, moved, belief)
     values, slopes = evaluate(MANIFOLD, factors, after.track, jnp.zeros(MANIFOLD.dim, after.unit.dtype))
@@ -127,7 +131,7 @@ def _forward(params: ekf.Params, before: ekf.State, samples: Imu) -> tuple[ekf.S
     )
     total = jnp.where(moved.since.time > 0, moved.since.time, 1)
     share = jnp.where(moved.since.time > 0, time / total, 1)
-    return after, _Node(path, share, moved.track, after, before.initialized, valid, headed, status, series)
+    return corrected, _Node(path, share, moved.track, after, initialized, valid, headed, status, series)
 
 
 def _between(params: ekf.Params, node: _Node, begin: Root, end: Root, *, seen: bool) -> ekf.Info:
@@ -139,10 +143,9 @@ def _between(params: ekf.Params, node: _Node, begin: Root, end: Root, *, seen: b
     def one(track: Track, share: Array, valid: Array, headed: Array, status: Array) -> ekf.Info:
         moved = MANIFOLD.retract(track, first + share * (last - first))
         moved = moved._replace(bias=ending.bias, scale=ending.scale, field=ending.field)
-        state = node.state._replace(
-            track=moved, covariance=end.covariance, initialized=valid, heading_initialized=headed
-        )
-        info = ekf.describe(params, state, valid & headed if seen else valid, seen=seen)
+        memory = node.state._replace(track=moved, initialized=valid, heading_initialized=headed)
+        spread = end.covariance[:8], end.covariance[8:]
+        info = ekf.describe(params, memory, spread, valid & headed if seen else valid, seen=seen)
         return info._replace(status=jnp.maximum(status, info.status))
 
     return jax.vmap(one)(node.samples, node.elapsed, node.valid, node.headed, node.status)
