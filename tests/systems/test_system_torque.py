@@ -82,6 +82,7 @@ def test_the_filter_finds_a_constant_torque(pendulum, x64):
     assert info.mean.shape == (200, 3)
 
 
+@pytest.mark.slow  # compiles for a minute; the collapsed likelihood's gradient stands in for it
 def test_marginal_likelihood_is_differentiable(pendulum, x64):
     given, measurements, _ = drawn(pendulum, 10)
 
