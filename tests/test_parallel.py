@@ -36,7 +36,8 @@ print(len(jax.devices()), jax.process_count())
 
 
 def start(tmp_path, name, rank=0, count=1, port=0, devices=1):
-    flags = f"--xla_force_host_platform_device_count={devices}"
+    # The compiler's effort would be most of the time, and all compare with the same.
+    flags = f"--xla_force_host_platform_device_count={devices} --xla_backend_optimization_level=0"
     environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
     arguments = [str(rank), str(count), str(port), str(tmp_path / name)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -54,9 +55,8 @@ def test_devices_and_processes_give_the_same_bits(tmp_path):
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     alone = start(tmp_path, "alone")
-    assert finish(alone) == "1 1"
     pair = start(tmp_path, "pair", devices=2)
-    assert finish(pair) == "2 1"
+    assert [finish(alone), finish(pair)] == ["1 1", "2 1"]
     processes = [start(tmp_path, "process", rank, 2, port) for rank in range(2)]
     assert [finish(process) for process in processes] == ["2 2", "2 2"]
     expected = np.load(tmp_path / "alone0.npy")

@@ -189,7 +189,8 @@ def test_iterated_update_is_the_most_probable_state(loss, x64):
 def test_the_new_covariance_lives_at_the_new_mean(x64):
     belief = jax.tree.map(jnp.asarray, BELIEF._replace(covariance=np.diag([0.5, 0.4, 0.3, 1.0, 2, 0.7])))
     factor = landmark_factor(landmark_values())
-    after, info = kalman.update(body.BODY, belief, factor, iterations=30, tolerance=1e-10)
+    update = partial(kalman.update, body.BODY, factors=factor, iterations=30, tolerance=1e-10)
+    after, info = jax.jit(update, compiler_options=QUICK)(belief)
 
     def residuals(v):
         x = body.BODY.retract(after.mean, v)
@@ -197,7 +198,7 @@ def test_the_new_covariance_lives_at_the_new_mean(x64):
         root = jnp.linalg.inv(jnp.linalg.cholesky(jnp.asarray(factor.noise[0])))
         return jnp.concatenate([error, (factor.residual(x).reshape(3, 3) @ root.T).reshape(-1)])
 
-    jacobian = jax.jacfwd(residuals)(jnp.zeros(6))
+    jacobian = jax.jit(jax.jacfwd(residuals), compiler_options=QUICK)(jnp.zeros(6))
     np.testing.assert_allclose(after.covariance, jnp.linalg.inv(jacobian.T @ jacobian), rtol=1e-7, atol=1e-12)
     information = jacobian[6:].T @ jacobian[6:]
     np.testing.assert_allclose(info.information, information, rtol=1e-6, atol=1e-6)
@@ -207,26 +208,33 @@ def test_gate_mask_and_status(x64):
     belief = jax.tree.map(jnp.asarray, BELIEF._replace(covariance=0.01 * np.eye(6)))
     values = body.LANDMARKS.copy()
     values[1, 0] += 1.0
-    plain = partial(kalman.update, body.BODY, belief)
-    gated, info = plain(landmark_factor(values, gate=11.34))
-    np.testing.assert_array_equal(info.used, np.repeat([True, False, True], 3))
-    assert info.dof == 6
-    masked, masked_info = plain(landmark_factor(values, valid=np.repeat([True, False, True], 3)))
-    jax.tree.map(np.testing.assert_array_equal, gated, masked)
-    assert masked_info.log_likelihood == info.log_likelihood
     some = kalman.Factor(
         lambda x: landmark_factor(values).residual(x)[np.array([0, 1, 2, 6, 7, 8])],
         np.tile(0.01 * (np.eye(3) + 0.3), (2, 1, 1)),
     )
-    absent, absent_info = plain(some)
+
+    @partial(jax.jit, compiler_options=QUICK)
+    def updates(belief):
+        plain = partial(kalman.update, body.BODY, belief)
+        return (
+            plain(landmark_factor(values, gate=11.34)),
+            plain(landmark_factor(values, valid=np.repeat([True, False, True], 3))),
+            plain(some),
+            plain(landmark_factor(values, valid=np.zeros(9, bool)), iterations=5),
+            plain(landmark_factor(values, loss=kalman.cauchy), iterations=2),
+        )
+
+    (gated, info), (masked, masked_info), (absent, absent_info), (nothing, none), (_, short) = updates(belief)
+    np.testing.assert_array_equal(info.used, np.repeat([True, False, True], 3))
+    assert info.dof == 6
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-13, atol=1e-16), gated, masked)
+    assert masked_info.log_likelihood == pytest.approx(float(info.log_likelihood), rel=1e-13)
     np.testing.assert_allclose(absent.covariance, masked.covariance, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(absent_info.log_likelihood, masked_info.log_likelihood, rtol=1e-12)
-    nothing, info = plain(landmark_factor(values, valid=np.zeros(9, bool)), iterations=5)
-    assert info.log_likelihood == 0
-    assert info.nis == 0
+    assert none.log_likelihood == 0
+    assert none.nis == 0
     jax.tree.map(partial(np.testing.assert_allclose, atol=1e-15), nothing, belief)
-    _, info = plain(landmark_factor(values, loss=kalman.cauchy), iterations=2)
-    assert info.status == NOT_CONVERGED
+    assert short.status == NOT_CONVERGED
 
 
 def test_given_jacobians_and_several_factors_are_the_same(x64):
@@ -236,11 +244,15 @@ def test_given_jacobians_and_several_factors_are_the_same(x64):
     def slope(x):
         return jax.jacrev(lambda v: factor.residual(body.BODY.retract(x, v)))(jnp.zeros(6))
 
-    options = {"iterations": 20, "tolerance": 1e-10}
-    expected, _ = kalman.update(body.BODY, belief, factor, **options)
-    given, _ = kalman.update(body.BODY, belief, factor._replace(jacobian=slope), **options)
     parts = [kalman.Factor(lambda x, i=i: factor.residual(x)[3 * i : 3 * i + 3], factor.noise[i]) for i in range(3)]
-    split, _ = kalman.update(body.BODY, belief, parts, **options)
+
+    @partial(jax.jit, compiler_options=QUICK)
+    def updates(belief):
+        options = {"iterations": 20, "tolerance": 1e-10}
+        every = factor, factor._replace(jacobian=slope), parts
+        return [kalman.update(body.BODY, belief, factors, **options)[0] for factors in every]
+
+    expected, given, split = updates(belief)
     for found in (given, split):
         jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-10), found, expected)
 
@@ -258,9 +270,11 @@ def test_a_link_from_its_parent_and_its_own_past(x64):
     parent = kalman.Gaussian(quaternion.exp(jnp.array([0.2, -0.4, 0.1])), 1e-4 * jnp.diag(jnp.array([1.0, 2, 3])))
     bias, noise = (kalman.Gaussian(jnp.array([m]), jnp.array([[s]])) for m, s in ((0.05, 4e-4), (0.0, 1e-4)))
     before = kalman.independent(parent, bias, noise)
-    after = kalman.predict(source, before, motion, target=link, noise=1e-6 * jnp.eye(4))
+    predict = partial(kalman.predict, source, dynamics=motion, target=link, noise=1e-6 * jnp.eye(4))
+    after = jax.jit(predict, compiler_options=QUICK)(before)
     draws = np.random.default_rng(7).multivariate_normal(np.zeros(5), before.covariance, size=40000)
-    moved = jax.vmap(lambda v: link.local(after.mean, motion(source.retract(before.mean, v))))(draws)
+    drawn = jax.vmap(lambda v: link.local(after.mean, motion(source.retract(before.mean, v))))
+    moved = jax.jit(drawn, compiler_options=QUICK)(draws)
     expected = np.cov(moved.T) + 1e-6 * np.eye(4)
     # A sample variance of 40000 draws has a standard error of 0.7 %.
     np.testing.assert_allclose(after.covariance, expected, atol=0.03 * np.abs(expected).max())
