@@ -221,8 +221,7 @@ def flat_start(key):
         ("mises", 5.0, False),
         ("mises", 5.0, True),
         ("wrapped", 2.0, False),
-        # Fails: choosing by what one mode foresees makes the evidence scatter too much where there are two.
-        pytest.param("wrapped", 2.0, True, marks=SLOW),
+        ("wrapped", 2.0, True),
         pytest.param("mises", 0.7, False, marks=SLOW),
         pytest.param("mises", 0.7, True, marks=SLOW),
         pytest.param("wrapped", 0.4, False, marks=SLOW),
@@ -244,7 +243,10 @@ def test_one_angle_is_the_quadrature(noise, walk, guided):
     params = LeverParams(jnp.float32(walk))
     densities, increments = lever_exact(params, density)
     model = lever_model(transition, guided, defensive=0.2 if walk in (0.7, 2.0) else 0.02)
-    history = repeated(model, params, flat_start, lever(np.float32))
+    # What only the defensive share finds weighs a lot and scatters.
+    history = repeated(
+        model, params, flat_start, lever(np.float32), runs=RUNS * (3 if guided and walk in (0.7, 2.0) else 1)
+    )
     assert np.all(np.asarray(history.status) == OK)
     assert_evidence(history, increments)
     # The posterior mean direction and its length, after the last step; only one mode is left there.

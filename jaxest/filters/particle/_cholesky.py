@@ -131,10 +131,10 @@ def conditional(factor: Array, white: Array, given: Array, known: Array) -> Arra
 
 
 def whiten(factor: Array, value: Array) -> Array:
-    """Return L' value - y: standard normal where the value is drawn from the Gaussian that the equations describe.
+    """Return L' value: standard normal where the value is an error of the Gaussian that the equations describe.
 
     Args:
-        factor: (d, d + 1, N) as `factorize` returns it.
+        factor: (d, d + 1, N) as `factorize` returns it; its last column is not looked at.
         value: (d, N).
 
     Returns:
@@ -142,6 +142,6 @@ def whiten(factor: Array, value: Array) -> Array:
     """
 
     def line(_: None, row: Array) -> tuple[None, Array]:
-        return None, jnp.sum(row[:-1] * value, axis=0) - row[-1]
+        return None, jnp.sum(row[:-1] * value, axis=0)
 
     return jax.lax.scan(line, None, factor)[1]

@@ -139,7 +139,7 @@ def _moved(
             jnp.zeros((), chosen.log_weights.dtype),
         )
     ahead, plan = model.propose.look(params, held, measurement, state.index == 0)
-    ahead = jax.lax.stop_gradient(ahead).astype(state.log_weights.dtype)
+    ahead = model.propose.heeded(ahead.astype(state.log_weights.dtype), state.log_weights)
     chosen = model.resample(choice, state.log_weights + ahead)
     _, foreseen, _ = normalize(state.log_weights + ahead)
     before = jax.tree.map(lambda x: x[chosen.ancestors], held)

@@ -20,7 +20,7 @@ OPENING = 8  # Gauss-Newton steps of the first step, which may have far to go
 FAR, ASIDE = 1.0, 4  # one particle of so many does not heed a guess so far away, as it may stand rightly
 MANY = 6  # dimensions above which proposals are curved
 REACH = 2.5  # rad, as far as a mode may lie where noise ends at half a turn
-SHARE = 0.01  # of the choice of ancestors that pays no heed to what was foreseen: no weight is above 100 times the mean
+SHARE = 0.01  # of the choice of ancestors that pays no heed to what was foreseen: no weight grows more than 100 times
 
 
 class Plan(NamedTuple):
@@ -70,8 +70,8 @@ class Guided(NamedTuple):
             first: () whether this is the first step, where the law of the first state may be used.
 
         Returns:
-            (N,) the logarithm of how likely each particle makes the measurement, but for what all share, roughly; and
-            the plan, which `take` reduces to those that go on.
+            (N,) the logarithm of how likely each particle makes the measurement, but for what all share, roughly, for
+            `heeded`; and the plan, which `take` reduces to those that go on.
         """
         fixed, seen, particles = jax.lax.stop_gradient((params, measurement, particles))
         begins = jnp.asarray(first, bool)
@@ -85,7 +85,27 @@ class Guided(NamedTuple):
         basis, wide = gauss_newton.split(equations) if self.curved else (None, None)
         factor = gauss_newton.factorized(equations, basis, prior)
         mode = gauss_newton.within(_cholesky.solve(factor, factor[:, -1]), reach)
-        return _foreseen(factor, energy), Plan(centre, mode, factor, basis, wide, prior, begins)
+        numbers = jnp.arange(factor.shape[0])
+        ahead = -energy / 2 - jnp.sum(jnp.log(factor[numbers, numbers]), axis=0)  # the integral of each Gaussian
+        return ahead, Plan(centre, mode, factor, basis, wide, prior, begins)
+
+    def heeded(self, ahead: Array, log_weights: Array) -> Array:
+        """Return by how much to favour each particle, in the choice of who goes on.
+
+        Args:
+            ahead: (N,) as `look` foresees it, logarithms of any scale.
+            log_weights: (N,) of the particles, their exponentials sum to one.
+
+        Returns:
+            (N,) logarithms of factors; weights times these sum to one, too. A share of the choice is made by the
+            weights alone, so that a particle whose worth was not foreseen cannot come to weigh a lot: at least the
+            defensive share, as what only a draw from the transition finds is not foreseen at all.
+        """
+        share = max(SHARE, self.defensive)
+        _, total, vanished = normalize(log_weights + ahead)
+        own = jnp.where(jnp.isfinite(ahead) & ~vanished, ahead - jnp.where(vanished, 0, total), -jnp.inf)
+        mixed = jnp.logaddexp(math.log1p(-share) + own, math.log(share))
+        return jax.lax.stop_gradient(jnp.where(vanished, 0, mixed))
 
     def send(
         self, params: PyTree, particles: PyTree, plan: Plan, measurement: PyTree, key: Array
@@ -115,7 +135,8 @@ class Guided(NamedTuple):
         moved = jax.lax.stop_gradient(jax.vmap(self.manifold.retract)(plan.centre, noise))
         density = _densities(self, plan, params, particles, moved, noise, measurement)
         if self.defensive:
-            own = jnp.log1p(-self.defensive) + _log_normal(plan.factor, _cholesky.whiten(plan.factor, noise.T))
+            white = _cholesky.whiten(plan.factor, noise.T - plan.mode)
+            own = jnp.log1p(-self.defensive) + _log_normal(plan.factor, white)
             drawn = jnp.logaddexp(own, jnp.log(self.defensive) + density)
         weight = each(self.log_likelihood)(params, moved, measurement)
         return moved, weight + density - jax.lax.stop_gradient(drawn)
@@ -142,7 +163,8 @@ def guided(
 
     Where the measurement fits several states within reach of the transition's noise (a position alone, say), each
     particle goes to one of them; weights are exact, but states that no particle visits are missed, in the evidence
-    too, and nothing shows it. A defensive share is the remedy: no weight then exceeds likelihood / share.
+    too, and nothing shows it. A defensive share is the remedy: it draws that share from the transition, and lets as
+    many go on whatever was foreseen of them, so that no weight then exceeds likelihood / share^2.
 
     Args:
         manifold: where the state lives, dimension d.
@@ -217,17 +239,6 @@ def _prior(ours: Guided, params: PyTree, particles: PyTree, seen: PyTree, begins
     start = each(transition.guess)(params, centre, seen).astype(dtype).T
     heeds = begins | (jnp.arange(count) % ASIDE != 0) | (jnp.max(jnp.abs(start), axis=0) < FAR)
     return centre, prior._replace(start=jnp.where(heeds[None], start, 0))
-
-
-def _foreseen(factor: Array, energy: Array) -> Array:
-    """How likely each particle makes the measurement, (N,), about 0, from the integral of its Gaussian.
-
-    A small share is the same for all, so that a particle that was foreseen badly cannot come to weigh a lot.
-    """
-    numbers = jnp.arange(factor.shape[0])
-    ahead = -energy / 2 - jnp.sum(jnp.log(factor[numbers, numbers]), axis=0)
-    share = normalize(ahead)[0] + math.log(ahead.shape[0])
-    return jnp.logaddexp(math.log1p(-SHARE) + share, math.log(SHARE))
 
 
 def _normals(key: Array, like: Array) -> Array:
