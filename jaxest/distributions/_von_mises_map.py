@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.distributions._checks import fits
+from jaxest.distributions._words import words
 from jaxest.manifolds import circle
 from jaxest.types import Array, ArrayLike, InputError
 
@@ -150,5 +151,6 @@ def sample_fast(
     """
     whole = fits(shape, mean=jnp.shape(mean))
     dtype = sampler.coefficients.dtype
-    bits = jax.random.bits(key, whole, _LAYOUTS[dtype.name].word)
+    word = _LAYOUTS[dtype.name].word
+    bits = words(key, whole) if word is np.uint32 else jax.random.bits(key, whole, word)
     return circle.wrap(jnp.broadcast_to(jnp.asarray(mean, dtype), whole) + from_bits(sampler, bits))

@@ -14,6 +14,7 @@ from typing import NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
+from jaxest.distributions._words import words
 from jaxest.manifolds.base import as_array
 from jaxest.types import Array, ArrayLike
 
@@ -239,7 +240,7 @@ def _whole(shares: Array, total: Array) -> Array:
 
 def _uniform(key: Array, shape: tuple[int, ...], bits: int) -> Array:
     """Whole numbers, uniform in [0, 2^bits)."""
-    return (jax.random.bits(key, shape, jnp.uint32) >> (32 - bits)).astype(jnp.int32)
+    return (words(key, shape) >> (32 - bits)).astype(jnp.int32)
 
 
 def _sorted_points(key: Array, count: int, wanted: Array, bits: int) -> Array:

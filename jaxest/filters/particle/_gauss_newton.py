@@ -35,7 +35,7 @@ def posterior(
     prior: Prior,
     iterations: ArrayLike,
     reach: float = math.inf,
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
     """Find each particle's Gaussian by Gauss-Newton.
 
     Args:
@@ -47,22 +47,24 @@ def posterior(
         reach: how far from the centre, in any coordinate.
 
     Returns:
-        The last equations (d, d + 1, N); and (N,) minus twice the logarithm of prior times likelihood at their
-        solution, as the last linearisation has it, but for constants.
+        The last equations (d, d + 1, N), their factor (d, d + 1, N) and solution (d, N); and (N,) minus twice the
+        logarithm of prior times likelihood there, as the last linearisation has it, but for constants.
     """
 
-    def turn(_: Any, now: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        equations, value, jacobian = linearized(manifold, rows, given, now[0], prior)
+    def turn(_: Any, now: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+        equations, value, jacobian = linearized(manifold, rows, given, now[2], prior)
         factor = factorized(equations, None, prior)
         at = within(_cholesky.solve(factor, factor[:, -1]), reach)
         # Summed where it is small: a difference of large sums would lose its digits in float32.
-        energy = _cholesky.misfit(value, jacobian, at - now[0]) + _quadratic(prior, at)
-        return at, equations, jnp.where(jnp.isfinite(energy), energy, jnp.inf)
+        energy = _cholesky.misfit(value, jacobian, at - now[2]) + _quadratic(prior, at)
+        return equations, factor, at, jnp.where(jnp.isfinite(energy), energy, jnp.inf)
 
     size, count = prior.start.shape
     blank = jnp.zeros((size, size + 1, count), prior.start.dtype)
-    _, equations, energy = jax.lax.fori_loop(0, iterations, turn, (prior.start, blank, prior.energy))
-    return equations, energy
+    found: tuple[Array, Array, Array, Array] = jax.lax.fori_loop(
+        0, iterations, turn, (blank, blank, prior.start, prior.energy)
+    )
+    return found
 
 
 def _quadratic(prior: Prior, v: Array) -> Array:

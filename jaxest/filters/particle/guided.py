@@ -81,10 +81,11 @@ class Guided(NamedTuple):
             turns = jnp.where(begins, max(OPENING, self.iterations), self.iterations)
         given = (fixed, centre, seen)
         reach = REACH if self.transition.bounded else math.inf
-        equations, energy = gauss_newton.posterior(self.manifold, self.rows, given, prior, turns, reach)
+        equations, factor, mode, energy = gauss_newton.posterior(self.manifold, self.rows, given, prior, turns, reach)
         basis, wide = gauss_newton.split(equations) if self.curved else (None, None)
-        factor = gauss_newton.factorized(equations, basis, prior)
-        mode = gauss_newton.within(_cholesky.solve(factor, factor[:, -1]), reach)
+        if basis is not None:
+            factor = gauss_newton.factorized(equations, basis, prior)
+            mode = gauss_newton.within(_cholesky.solve(factor, factor[:, -1]), reach)
         numbers = jnp.arange(factor.shape[0])
         ahead = -energy / 2 - jnp.sum(jnp.log(factor[numbers, numbers]), axis=0)  # the integral of each Gaussian
         return ahead, Plan(centre, mode, factor, basis, wide, prior, begins)
