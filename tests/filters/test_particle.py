@@ -131,7 +131,7 @@ def test_particles_that_are_not_finite_are_dropped(series, guided):
     """Those that the transition loses stay where they were, without weight, and do not spoil the others."""
     lossy = WALK._replace(mean=torn)
     propose = (
-        particle.guided(JOINTS, lossy, log_likelihood, GUIDED.rows)
+        particle.guided(JOINTS, lossy, log_likelihood, GUIDED.rows, defensive=0.3)
         if guided
         else particle.bootstrap(JOINTS, lossy, log_likelihood)
     )
@@ -140,7 +140,7 @@ def test_particles_that_are_not_finite_are_dropped(series, guided):
     after, info = quick(step)(Params(), state, measurement, key=jax.random.key(2))
     origin = np.asarray(state.particles)[np.asarray(info.ancestors)]
     lost = origin[:, 0] > 0.9
-    assert (0 < lost.sum() < 5) if guided else (5 < lost.sum() < 40)  # a look ahead hardly chooses them
+    assert (0 < lost.sum() < 15) if guided else (5 < lost.sum() < 40)  # a look ahead chooses few of them
     np.testing.assert_array_equal(np.asarray(after.particles)[lost], origin[lost])
     assert np.all(np.asarray(after.log_weights)[lost] == -np.inf)
     assert np.all(np.isfinite(np.asarray(after.log_weights)[~lost]))

@@ -43,7 +43,7 @@ class Info(NamedTuple):
     """The estimate of one step and how it came about."""
 
     mean: PyTree
-    """Weighted intrinsic mean of the particles."""
+    """Weighted intrinsic mean of the particles; a guided filter takes out what its choice of ancestors did by luck."""
     covariance: Array
     """(d, d) in the tangent space at the mean."""
     log_likelihood: Array
@@ -55,6 +55,17 @@ class Info(NamedTuple):
     """(N,) int32, which particles of the step before these come from; None unless the model asks for them."""
     status: Array
     """() int32, `OK`, `NON_FINITE` or `WEIGHTS_VANISHED`."""
+
+
+class _Foresight(NamedTuple):
+    """By what ancestors were chosen."""
+
+    log_likelihood: Array
+    """() what of the log-evidence is not in the weights afterwards."""
+    chances: Array
+    """(N,) of each particle, they sum to one."""
+    aims: PyTree
+    """Leaves (N, ...), the most probable next state of each."""
 
 
 def init(particles: PyTree, log_weights: ArrayLike | None = None) -> State:
@@ -104,11 +115,13 @@ def _step(
         raise ValueError("key: got None, expected the key of the run; a particle filter draws random numbers")
     measurement, broken = clean(measurement)
     choice, motion = jax.random.split(jax.random.fold_in(key, state.index))
-    chosen, before, moved, increments, foreseen = _moved(model, params, state, measurement, choice, motion)
+    chosen, before, moved, increments, foresight = _moved(model, params, state, measurement, choice, motion)
     particles, increments = _finite(before, moved, increments.astype(state.log_weights.dtype))
     log_weights, log_likelihood, vanished = normalize(chosen.log_weights + increments)
-    log_likelihood = log_likelihood + foreseen
     mean, covariance = mean_and_covariance(model.manifold, particles, log_weights)
+    if foresight is not None:
+        log_likelihood = log_likelihood + foresight.log_likelihood
+        mean = _balanced(model.manifold, mean, foresight, chosen)
     status = jnp.where(vanished, WEIGHTS_VANISHED, jnp.where(broken, NON_FINITE, OK)).astype(jnp.int32)
     info = Info(
         mean,
@@ -123,28 +136,37 @@ def _step(
 
 def _moved(
     model: Model, params: PyTree, state: State, measurement: PyTree, choice: Array, motion: Array
-) -> tuple[Resampled, PyTree, PyTree, Array, Array]:
+) -> tuple[Resampled, PyTree, PyTree, Array, _Foresight | None]:
     """Choose who goes on and send them.
 
-    Returns the choice, those who go, where to, their weights' factors, and what of the log-evidence is not in these.
+    Returns the choice, those who go, where to, their weights' factors, and what the choice was made by.
     """
     held = jax.lax.stop_gradient(state.particles)
     if not isinstance(model.propose, Guided):
         chosen = model.resample(choice, state.log_weights)
         before = jax.tree.map(lambda x: x[chosen.ancestors], held)
-        return (
-            chosen,
-            before,
-            *model.propose(params, before, measurement, motion),
-            jnp.zeros((), chosen.log_weights.dtype),
-        )
+        return chosen, before, *model.propose(params, before, measurement, motion), None
     ahead, plan = model.propose.look(params, held, measurement, state.index == 0)
     ahead = model.propose.heeded(ahead.astype(state.log_weights.dtype), state.log_weights)
     chosen = model.resample(choice, state.log_weights + ahead)
-    _, foreseen, _ = normalize(state.log_weights + ahead)
+    chances, total, _ = normalize(state.log_weights + ahead)
     before = jax.tree.map(lambda x: x[chosen.ancestors], held)
     moved, increments = model.propose.send(params, before, take(plan, chosen.ancestors), measurement, motion)
-    return chosen, before, moved, increments - ahead[chosen.ancestors], foreseen
+    foresight = _Foresight(total, jnp.exp(chances), model.propose.aims(plan))
+    return chosen, before, moved, increments - ahead[chosen.ancestors], foresight
+
+
+def _balanced(manifold: Manifold, mean: PyTree, foresight: _Foresight, chosen: Resampled) -> PyTree:
+    """Move the mean by where all aim, by their chances, less where those aim who were chosen.
+
+    Both agree but for the luck of the choice, which is most of what the mean of a few well guided particles errs by.
+    """
+    count = foresight.chances.shape[0]
+    took = jnp.zeros(count, foresight.chances.dtype).at[chosen.ancestors].add(jnp.exp(chosen.log_weights))
+    away = jax.vmap(manifold.local, (None, 0))(mean, foresight.aims)
+    shift = jnp.matmul(foresight.chances - took, away, precision=jax.lax.Precision.HIGHEST)
+    shift = jax.lax.stop_gradient(jnp.where(jnp.all(jnp.isfinite(shift)), shift, 0))
+    return manifold.retract(mean, shift)
 
 
 def _finite(before: PyTree, moved: PyTree, increments: Array) -> tuple[PyTree, Array]:

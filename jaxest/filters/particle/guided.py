@@ -8,7 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxest.filters.particle import _cholesky
+from jaxest.filters.particle import _draws as draws
 from jaxest.filters.particle import _gauss_newton as gauss_newton
+from jaxest.filters.particle._draws import Plan
 from jaxest.filters.particle._gauss_newton import Prior
 from jaxest.filters.particle.proposal import LogLikelihood, Rows, densities, each
 from jaxest.filters.particle.transition import Opening, Transition
@@ -21,25 +23,6 @@ FAR, ASIDE = 1.0, 4  # one particle of so many does not heed a guess so far away
 MANY = 6  # dimensions above which proposals are curved
 REACH = 2.5  # rad, as far as a mode may lie where noise ends at half a turn
 SHARE = 0.01  # of the choice of ancestors that pays no heed to what was foreseen: no weight grows more than 100 times
-
-
-class Plan(NamedTuple):
-    """Where particles will be sent, made before it is decided which of them go on."""
-
-    centre: PyTree
-    """Leaves (N, ...), where the tangent spaces are taken."""
-    mode: Array
-    """(d, N) of the Gaussians, in the basis."""
-    factor: Array
-    """(d, d + 1, N) of their information, in the basis."""
-    basis: Array | None
-    """(d, d), orthonormal, directions in columns; those come first of which the measurement says most."""
-    wide: Array | None
-    """(d,) bool, the last directions: along these particles spread so far that the measurement bends on the way."""
-    prior: Prior
-    """The Gaussians without the measurement."""
-    first: Array
-    """() bool, whether the law of the first state is used."""
 
 
 class Guided(NamedTuple):
@@ -108,6 +91,13 @@ class Guided(NamedTuple):
         mixed = jnp.logaddexp(math.log1p(-share) + own, math.log(share))
         return jax.lax.stop_gradient(jnp.where(vanished, 0, mixed))
 
+    def aims(self, plan: Plan) -> PyTree:
+        """Return each particle's most probable next state, leaves (N, ...)."""
+        noise = (
+            plan.mode if plan.basis is None else jnp.matmul(plan.basis, plan.mode, precision=jax.lax.Precision.HIGHEST)
+        )
+        return jax.vmap(self.manifold.retract, (0, 1))(plan.centre, noise)
+
     def send(
         self, params: PyTree, particles: PyTree, plan: Plan, measurement: PyTree, key: Array
     ) -> tuple[PyTree, Array]:
@@ -125,19 +115,21 @@ class Guided(NamedTuple):
             density of the draw.
         """
         fixed, seen, particles = jax.lax.stop_gradient((params, measurement, particles))
-        white = _normals(key, plan.mode)
+        white = draws.normals(key, plan.mode)
         if plan.basis is None or plan.wide is None:
-            noise, drawn = _straight(plan, white)
+            noise, drawn = draws.straight(plan, white)
         else:
-            noise, drawn = _bent(self, (fixed, plan.centre, seen), plan, plan.basis, plan.wide, white)
+            noise, drawn = draws.bent(
+                self.manifold, self.rows, (fixed, plan.centre, seen), plan, plan.basis, plan.wide, white
+            )
         if self.defensive:
-            noise = _mixed(self.transition, self.defensive, fixed, seen, noise, key)
+            noise = draws.mixed(self.transition, self.defensive, fixed, seen, noise, key)
         noise = jax.lax.stop_gradient(noise)
         moved = jax.lax.stop_gradient(jax.vmap(self.manifold.retract)(plan.centre, noise))
         density = _densities(self, plan, params, particles, moved, noise, measurement)
         if self.defensive:
             white = _cholesky.whiten(plan.factor, noise.T - plan.mode)
-            own = jnp.log1p(-self.defensive) + _log_normal(plan.factor, white)
+            own = jnp.log1p(-self.defensive) + draws.log_normal(plan.factor, white)
             drawn = jnp.logaddexp(own, jnp.log(self.defensive) + density)
         weight = each(self.log_likelihood)(params, moved, measurement)
         return moved, weight + density - jax.lax.stop_gradient(drawn)
@@ -240,49 +232,6 @@ def _prior(ours: Guided, params: PyTree, particles: PyTree, seen: PyTree, begins
     start = each(transition.guess)(params, centre, seen).astype(dtype).T
     heeds = begins | (jnp.arange(count) % ASIDE != 0) | (jnp.max(jnp.abs(start), axis=0) < FAR)
     return centre, prior._replace(start=jnp.where(heeds[None], start, 0))
-
-
-def _normals(key: Array, like: Array) -> Array:
-    """Standard normals (d, N) in pairs of opposite signs."""
-    size, count = like.shape
-    z = jax.random.normal(key, (size, (count + 1) // 2), like.dtype)
-    return jnp.concatenate([z, -z], axis=1)[:, :count]
-
-
-def _straight(plan: Plan, white: Array) -> tuple[Array, Array]:
-    """Noise (N, d) from each particle's Gaussian, and its log-density (N,)."""
-    return (plan.mode + _cholesky.solve(plan.factor, white)).T, _log_normal(plan.factor, white)
-
-
-def _bent(
-    ours: Guided, given: tuple[PyTree, PyTree, PyTree], plan: Plan, basis: Array, wide: Array, white: Array
-) -> tuple[Array, Array]:
-    """Noise (N, d) and its log-density (N,): wide directions first, the others given these."""
-    drawn = plan.mode + _cholesky.solve(plan.factor, jnp.where(wide[:, None], white, 0))
-    at = jnp.matmul(basis, drawn, precision=jax.lax.Precision.HIGHEST)
-    equations, *_ = gauss_newton.linearized(ours.manifold, ours.rows, given, at, plan.prior)
-    factor = gauss_newton.factorized(equations, basis, plan.prior)
-    found = _cholesky.conditional(factor, white, drawn, wide)
-    both = jnp.where(wide[:, None, None], plan.factor, factor)
-    noise = jnp.matmul(basis, found, precision=jax.lax.Precision.HIGHEST)
-    return noise.T, _log_normal(both, white)
-
-
-def _log_normal(factor: Array, z: Array) -> Array:
-    """Log-density (N,) of a Gaussian with that factor, where its standard normals are z (d, N)."""
-    rows = jnp.arange(z.shape[0])
-    constant = z.shape[0] * jnp.log(2 * jnp.pi).astype(z.dtype) / 2
-    return jnp.sum(jnp.log(factor[rows, rows]) - z * z / 2, axis=0) - constant
-
-
-def _mixed(
-    transition: Transition, share: float, params: PyTree, measurement: PyTree, noise: Array, key: Array
-) -> Array:
-    """Replace a share of the noise (N, d) by draws from the transition."""
-    choice, draw = jax.random.split(jax.random.fold_in(key, 1))
-    plain = transition.draw(params, measurement, draw, noise.shape[0])
-    chosen = jax.random.uniform(choice, (noise.shape[0], 1), noise.dtype) < share
-    return jnp.where(chosen, plain, noise)
 
 
 def _densities(
