@@ -30,43 +30,54 @@ def mesh(devices: Sequence[jax.Device] | None = None) -> Mesh:
     return Mesh(np.asarray(jax.devices() if devices is None else list(devices)), (AXIS,))
 
 
-def shards(fn: Callable[..., PyTree], over: Mesh | None = None) -> Callable[..., PyTree]:
+def several() -> Mesh | None:
+    """Return all devices as `mesh` lines them up, or None where there is but one and nothing to spread."""
+    return mesh() if jax.device_count() > 1 else None
+
+
+def shards(fn: Callable[..., PyTree], over: Mesh | None = None, *, common: int = 0) -> Callable[..., PyTree]:
     """Spread a function over a batch, a share of it on each device.
 
     Args:
         fn: takes one item (pytrees of arrays) and returns a pytree; pure.
         over: the devices, as `mesh` lines them up; all of them if None.
+        common: how many of the first arguments are the same for all items and have no batch axis.
 
     Returns:
         A jitted function of the same arguments, each leaf with a leading axis of n items; its results have that axis
         too and live spread over the devices (`gather` brings them to every host). A batch that the number of devices
         does not divide is filled up with copies of its last item, which are dropped again. Every process gives the
-        whole batch.
+        whole batch. Call the same one again: each has a program of its own.
 
     Raises:
         ValueError: when called, if the leaves' leading axes differ.
     """
     line = mesh() if over is None else over
-    spread = NamedSharding(line, PartitionSpec(AXIS))
-    part = PartitionSpec(AXIS)
+    whole, part = PartitionSpec(), PartitionSpec(AXIS)
+
+    def share(same: tuple[PyTree, ...], items: tuple[PyTree, ...]) -> PyTree:
+        return jax.vmap(lambda *item: fn(*same, *item))(*items)
+
     # Shares are independent, and an estimator's scan starts from constants: nothing for the check to find.
-    step = jax.jit(jax.shard_map(jax.vmap(fn), mesh=line, in_specs=part, out_specs=part, check_vma=False))
+    step = jax.jit(jax.shard_map(share, mesh=line, in_specs=(whole, part), out_specs=part, check_vma=False))
 
     def call(*args: PyTree) -> PyTree:
-        sizes = [np.shape(leaf)[:1] for leaf in jax.tree.leaves(args)]
+        same, batch = args[:common], args[common:]
+        sizes = [np.shape(leaf)[:1] for leaf in jax.tree.leaves(batch)]
         if len(set(sizes)) != 1 or () in sizes:
             raise ValueError(f"batch: leading axes {sorted(set(sizes))}, expected one number of items on every leaf")
         items = int(sizes[0][0])
         rows = np.minimum(np.arange(-(-items // line.size) * line.size), items - 1)
-        placed = jax.tree.map(lambda leaf: _place(leaf, rows, spread), args)
-        found = step(*placed)
+        batch = jax.tree.map(lambda leaf: _place(leaf, rows, NamedSharding(line, part)), batch)
+        same = jax.tree.map(lambda leaf: _place(leaf, ..., NamedSharding(line, whole)), same)
+        found = step(same, batch)
         return found if len(rows) == items else jax.tree.map(lambda leaf: leaf[:items], found)
 
     return call
 
 
-def _place(leaf: Any, rows: np.ndarray, spread: NamedSharding) -> jax.Array:
-    """Put each device's share of a leaf on it; the leaf is whole on every host."""
+def _place(leaf: Any, rows: Any, spread: NamedSharding) -> jax.Array:
+    """Put each device's share of a leaf's rows on it; the leaf is whole on every host."""
     if jnp.issubdtype(getattr(leaf, "dtype", np.float32), jax.dtypes.prng_key):
         return jax.device_put(leaf[rows], spread)
     whole = np.asarray(leaf)[rows]
@@ -89,4 +100,4 @@ def gather(tree: PyTree) -> PyTree:
     return jax.tree.map(np.asarray, process_allgather(tree, tiled=True))
 
 
-__all__ = ["gather", "mesh", "shards"]
+__all__ = ["gather", "mesh", "several", "shards"]

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from jaxest.cli.devices import Devices
 from jaxest.cli.output import (
     DONE,
     REJECTED,
@@ -29,6 +30,7 @@ EXAMPLES = (
     "jaxest estimate log.csv -m orientation -c config.toml --start 10 --end 60 --force",
     "jaxest estimate log.npz -m deflection --robot arm.urdf --config sensors.toml",
     "jaxest estimate shaken.npz -m onsite --config imus.toml",
+    "jaxest estimate arm.npz -m torque --robot arm.urdf --devices 2",
     "jaxest estimate hand.npz -m posture --robot hand.xml --config imus.toml",
 )
 
@@ -54,6 +56,7 @@ def run(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for estimate.npz, report.json and a picture.")
     ] = Path("jaxest-out"),
+    devices: Devices = None,
     force: Force = False,
     json: Json = False,
     verbose: Verbose = False,
@@ -62,7 +65,7 @@ def run(
 
     If the log carries its own truth (a stream `orientation`), the errors to it are printed as well.
     """
-    del verbose
+    del verbose, devices
     from jaxest.cli import methods, settings
     from jaxest.cli.tables import figures
     from jaxest.cli.window import windowed

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from jaxest.cli.devices import Devices
 from jaxest.cli.output import Answer, Force, Json, Verbose, bad_input, command, console, note, working
 
 NAME = "reproduce"
@@ -14,6 +15,7 @@ EXAMPLES = (
     "jaxest reproduce sato2023",
     "jaxest reproduce sato2023 --part fig6 --part fig10 -o pictures",
     "jaxest reproduce sato2023 --json > sato2023.json",
+    "jaxest reproduce zakeri2023 --part table1 --devices 2",
 )
 
 
@@ -38,12 +40,13 @@ def run(
         Path | None, typer.Option(help="Folder that keeps finished runs; the same command goes on from there.")
     ] = None,
     show: Annotated[bool, typer.Option("--list", help="Name the parts and leave.")] = False,
+    devices: Devices = None,
     force: Force = False,
     json: Json = False,
     verbose: Verbose = False,
 ) -> Answer:
     """Compute a paper's figures anew: tables here, pictures like the paper's into a folder."""
-    del verbose
+    del verbose, devices
     from jaxest import reproduce
     from jaxest.cli.tables import figures
     from jaxest.io.report import Row, report, to_json

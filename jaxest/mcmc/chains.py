@@ -45,16 +45,27 @@ def step(kernel: Kernel) -> Any:
 
 def _step(kernel: Kernel, both: Any, chains: Chains, _: PyTree, *, key: Array | None = None) -> tuple[Chains, Info]:
     del key  # each chain has its own
-    params, data = both
 
     def one(state: State, key: Array) -> tuple[State, Info]:
-        return kernel(params, data, state, key=key)
+        after, info = _alone(kernel, both, Chains(state, key, chains.index), _)
+        return after.chain, info
 
     states, info = jax.vmap(one)(chains.chain, chains.key)
     return Chains(states, chains.key, chains.index + 1), info
 
 
-def advance(kernel: Kernel, params: Params, data: Data, chains: Chains, iterations: int, history: Any = full) -> Any:
+def _alone(kernel: Kernel, both: Any, chain: Chains, _: PyTree, *, key: Array | None = None) -> tuple[Chains, Info]:
+    """Take a step of one chain, a `Chains` without its axis."""
+    del key
+    params, data = both
+    state, info = kernel(params, data, chain.chain, key=chain.key)
+    return Chains(state, chain.key, chain.index + 1), info
+
+
+def advance(
+    kernel: Kernel, params: Params, data: Data, chains: Chains, iterations: int, history: Any = full,
+    over: Mesh | None = None,
+) -> Any:  # fmt: skip
     """Run all chains for some iterations.
 
     Args:
@@ -63,39 +74,30 @@ def advance(kernel: Kernel, params: Params, data: Data, chains: Chains, iteratio
         data: the series.
         chains: where they are; the same call starts, resumes, and runs in pieces that give the same draws.
         iterations: how many; static.
-        history: as in `filters.run`.
+        history: as in `filters.run`; with `over`, of one chain's `Chains` without its axis.
+        over: devices that take a share of the chains each, as `parallel.mesh` lines them up; None for one program.
 
     Returns:
-        The chains, and the history: leaves (iterations, C, ...).
+        The chains, and the history: leaves (iterations, C, ...). Spread ones live on their devices,
+        `parallel.gather` brings them to every host.
     """
-    return run(step(kernel), (params, data), chains, jnp.arange(iterations), history=history)
-
-
-def spread(
-    kernel: Kernel, params: Params, data: Data, chains: Chains, iterations: int, over: Mesh | None = None
-) -> tuple[Chains, Info]:
-    """Run chains as `advance` does, each device a share of them.
-
-    Args:
-        kernel: the sampler.
-        params: parameters.
-        data: the series.
-        chains: where they are.
-        iterations: how many.
-        over: the devices, as `parallel.mesh` lines them up; all of all processes if None.
-
-    Returns:
-        As `advance`; the leaves live spread over the devices, `parallel.gather` brings them to every host.
-    """
-
-    def one(state: State, key: Array) -> tuple[State, Info]:
-        alone = Chains(jax.tree.map(lambda x: x[None], state), key[None], chains.index)
-        after, info = advance(kernel, params, data, alone, iterations)
-        return jax.tree.map(lambda x: x[0], after.chain), jax.tree.map(lambda x: x[:, 0], info)
-
-    states, info = shards(one, over)(chains.chain, chains.key)
+    if over is None:
+        return run(step(kernel), (params, data), chains, jnp.arange(iterations), history=history)
+    states, kept = _shares(kernel, iterations, history, over)(params, data, chains.index, chains.chain, chains.key)
     after = Chains(states, chains.key, chains.index + iterations)
-    return after, jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), info)
+    return after, jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), kept)
+
+
+@cache
+def _shares(kernel: Kernel, iterations: int, history: Any, over: Mesh) -> Any:
+    """Compile the run of one device's chains once for all pieces of a run."""
+
+    def one(params: Params, data: Data, index: Array, state: State, key: Array) -> tuple[State, Info]:
+        lone = partial(_alone, kernel)
+        after, info = run(lone, (params, data), Chains(state, key, index), jnp.arange(iterations), history=history)
+        return after.chain, info
+
+    return shards(one, over, common=3)
 
 
 def init(key: Array, states: State) -> Chains:
@@ -169,8 +171,9 @@ def _tuning(model: Model, prior: Prior, data: Data, linear: Linear, centre: Arra
 
 
 def warm_up(
-    model: Model, params: Params, data: Data, *, key: Array, count: int = 4, iterations: int = 200, rounds: int = 2
-) -> tuple[Params, Chains, Info]:
+    model: Model, params: Params, data: Data, *, key: Array, count: int = 4, iterations: int = 200, rounds: int = 2,
+    over: Mesh | None = None,
+) -> tuple[Params, Chains, Info]:  # fmt: skip
     """Find the tuning: Gibbs chains of the linear model from dispersed starts, linearised anew after each round.
 
     Args:
@@ -181,6 +184,7 @@ def warm_up(
         count: chains; static.
         iterations: of each round, of which the first third is not looked at; static.
         rounds: how often; static.
+        over: as in `advance`.
 
     Returns:
         Parameters with the tuning found, the chains' last states, and their history in the last round.
@@ -191,7 +195,7 @@ def warm_up(
     chains, history = init(keys[0], states), None
     for i in range(rounds):
         chains = init(keys[i], chains.chain)
-        chains, history = advance(kernel, params, data, chains, iterations)
+        chains, history = advance(kernel, params, data, chains, iterations, over=over)
         params = params._replace(tuning=_refit(model, params, data, history, iterations // 3))
     assert history is not None
     return params, chains, history
@@ -212,4 +216,4 @@ def _refit(model: Model, params: Params, data: Data, history: Info, discard: int
     return _tuning(model, params.prior, data, linear, centre, jnp.linalg.cholesky(covariance))
 
 
-__all__ = ["Chains", "advance", "dispersed", "init", "spread", "step", "untuned", "warm_up"]
+__all__ = ["Chains", "advance", "dispersed", "init", "step", "untuned", "warm_up"]

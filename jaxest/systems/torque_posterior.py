@@ -12,6 +12,7 @@ from jaxest.mcmc.chains import Chains
 from jaxest.mcmc.diagnostics import Summary, Verdict, effective, summary, verdict
 from jaxest.mcmc.kernel import Kernel, Params
 from jaxest.mcmc.model import Data, Model, Prior
+from jaxest.parallel import several
 
 IDENTIFIED = 0.85  # of the prior's standard deviation of a log variance: above it the data say next to nothing
 
@@ -54,11 +55,14 @@ def names(model: Model, labels: tuple[str, ...] = ()) -> tuple[list[str], list[s
     return theta, [f"s{k + 1}_{label[j]}" for k in range(blocks) for j in range(m)]
 
 
-def advance(kernel: Kernel, params: Params, data: Data) -> Callable[[Chains, int], tuple[Chains, Any]]:
-    """Return what `io.chains.sample` calls."""
+def advance(
+    kernel: Kernel, params: Params, data: Data, history: Any = full
+) -> Callable[[Chains, int], tuple[Chains, Any]]:
+    """Return what `io.chains.sample` calls: all chains in one program, or a share of them on each device."""
+    over = several()
 
     def go(chains: Chains, iterations: int) -> tuple[Chains, Any]:
-        found: tuple[Chains, Any] = many.advance(kernel, params, data, chains, iterations, full)
+        found: tuple[Chains, Any] = many.advance(kernel, params, data, chains, iterations, history, over)
         return found
 
     return go

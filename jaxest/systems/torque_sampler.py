@@ -16,6 +16,7 @@ from jaxest.mcmc import chains, kernel, particle_gibbs, particle_mh, twist
 from jaxest.mcmc.chains import Chains
 from jaxest.mcmc.kernel import Kernel, Params
 from jaxest.mcmc.model import Data, Model, Prior
+from jaxest.parallel import several
 from jaxest.systems.torque import check_prior
 from jaxest.systems.torque_model import check_robot, require_float64
 from jaxest.types import Array, unknown_name
@@ -82,7 +83,7 @@ def tune(
     centre = jnp.clip(jnp.zeros(model.linear), prior.low, prior.high)
     tuning = chains.untuned(model, robot, prior, data, path, centre)
     params = Params(robot, prior, tuning)
-    return chains.warm_up(model, params, data, key=key, iterations=iterations, rounds=rounds)[0]
+    return chains.warm_up(model, params, data, key=key, iterations=iterations, rounds=rounds, over=several())[0]
 
 
 def first_path(data: Data, prior: Prior, model: Model) -> NDArray[np.float64]:

@@ -141,7 +141,7 @@ def test_chunks_resume_and_shards_give_the_same_draws(warm, tmp_path):
     assert said[-1].startswith("12 of 12 iterations")
     with pytest.raises(InputError, match="belongs to a run with other data"):
         sample(go, start(warm)._replace(key=first.key[::-1]), 5, piece=5, folder=tmp_path, identity=identity)
-    _, spread = chains.spread(sampler, params, one.data, first, 12, parallel.mesh())
+    _, spread = chains.advance(sampler, params, one.data, first, 12, over=parallel.mesh())
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9), spread, whole)
 
 

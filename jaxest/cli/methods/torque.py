@@ -6,7 +6,7 @@ friction, payload, contact.
 """
 
 from collections.abc import Mapping
-from functools import partial
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -101,7 +101,6 @@ def _draw(robot: Any, series: Series, settings: Mapping[str, Any], kind: str) ->
     import jax
     import jax.numpy as jnp
 
-    from jaxest.mcmc import chains as many
     from jaxest.systems import torque, torque_model, torque_posterior, torque_sampler
     from jaxest.types import Reading
 
@@ -123,7 +122,8 @@ def _draw(robot: Any, series: Series, settings: Mapping[str, Any], kind: str) ->
     iterations = settings.get("iterations", 400 if walks else 2500)
 
     kernel = torque_sampler.sampler(sampler, model)
-    _, (history, path) = many.advance(kernel, params, data, start, iterations, partial(_keep, 2 * n))
+    go = torque_posterior.advance(kernel, params, data, _keep(2 * n))
+    _, (history, path) = go(start, iterations)
     found = torque_posterior.collect(model, history, has_path=sampler != "collapsed", labels=tuple(robot.joint_names))
     if walks:
         draws = np.asarray(path)[iterations // 4 :].reshape(-1, len(series.time), n)
@@ -134,9 +134,10 @@ def _draw(robot: Any, series: Series, settings: Mapping[str, Any], kind: str) ->
     return Drawn(draws.mean(axis=0), low, high, found, torque_posterior.unidentified(prior, found))
 
 
-def _keep(first: int, state: Any, info: Any) -> Any:
+@cache
+def _keep(first: int) -> Any:
     """Keep of an iteration what it says of itself, and the torques of the path where they are part of the state."""
-    return info, state.chain.path[:, :, first:]
+    return lambda state, info: (info, state.chain.path[..., first:])
 
 
 def _prior(series: Series, settings: Mapping[str, Any], walks: bool, segments: int) -> Any:
