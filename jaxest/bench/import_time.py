@@ -30,20 +30,21 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
     """
     del peers
     progress("importing in fresh interpreters")
-    programs = {
-        "import jax": "import jax",
-        "import jaxest": "import jax, jaxest",
+    whole = {
+        "jaxest": "import jax, jaxest",
         "jaxest and its subpackages": "import jax; from jaxest import " + ", ".join(SUBPACKAGES),
     }
-    if not small:
-        programs |= {f"jaxest.{name}": f"import jax, jaxest.{name}" for name in SUBPACKAGES}
-    candidates = [Candidate(name, _importer(code)) for name, code in programs.items()]
-    timings = race(candidates, repeats=1 if small else 7, min_time=0.0)
-    alone = timings.pop("import jax")
-    for name, timing in timings.items():
-        yield compare("import", f"{name}, fresh interpreter", timing, alone, unit="s")
-        over = timing.seconds - alone.seconds
-        yield Row("over import jax", name, float(np.median(over)), "s", n=len(over))
+    each = {} if small else {f"jaxest.{name}": f"import jax, jaxest.{name}" for name in SUBPACKAGES}
+    for programs, repeats in ((whole, 1 if small else 7), (each, 2)):
+        candidates = [Candidate(name, _importer(code)) for name, code in programs.items()]
+        if not candidates:
+            continue
+        timings = race([Candidate("import jax", _importer("import jax")), *candidates], repeats=repeats, min_time=0.0)
+        alone = timings.pop("import jax")
+        for name, timing in timings.items():
+            yield compare("import", f"{name}, fresh interpreter", timing, alone, unit="s")
+            over = timing.seconds - alone.seconds
+            yield Row("over import jax", name, float(np.median(over)), "s", n=len(over))
 
 
 def _importer(code: str) -> Callable[[], object]:
