@@ -1,6 +1,7 @@
 """Robots that come with the package, as MJCF: paths to hand to `jaxest.kinematics.load`.
 
-`path("arm")` is a light 4-joint arm that bends (Sato 2023, Fig. 7), `path("rover")` has every kind of joint, and
+`path("arm")` is a light 4-joint arm that bends (Sato 2023, Fig. 7), `path("rover")` has every kind of joint,
+`path("gripper")` has two fingers with IMUs, `path("human_arm")` is a person's arm with four (Santaera 2015), and
 `chain(n)` writes a serial arm of n hinges for studies of size.
 """
 
