@@ -9,7 +9,8 @@ import numpy as np
 from jaxest.filters import bingham_linear, rls
 from jaxest.filters import savitzky_golay as sg
 from jaxest.manifolds import quaternion as quat
-from jaxest.systems import onsite
+from jaxest.simulate import manipulator
+from jaxest.systems import onsite, onsite_chain
 from jaxest.types import Reading, System
 
 
@@ -69,7 +70,23 @@ def pose():
     """The live system with a short window, on a motion quick enough to tell something in twelve steps."""
     system = onsite.build(half_width=2, degree=2, lag=4)
     params = system.default_params._replace(
-        gyroscope_noise=0.1, gate=1.0, forgetting_rotation=0.98, forgetting_position=0.97, bias_a=np.full(3, 0.01)
+        gyroscope_noise=0.1,
+        gate=1.0,
+        forgetting_rotation=0.98,
+        forgetting_position=0.97,
+        bias_a=np.full(3, 0.01),
+        gyroscope_axes=0.01,
+        accelerometer_axes=0.02,
     )
     options = {"rate_hz": 8.0, "speed": 1.0, "length": 1.0, "shaking": 0.1, "gyroscope": 0.03, "accelerometer": 0.1}
+    return system._replace(default_params=params, simulate=partial(system.simulate, **options))
+
+
+def chain():
+    """Two links between three modules, with the window and the motion of `pose`."""
+    system = onsite_chain.build(manipulator.draw(0).assembly, half_width=2, degree=2, lag=4)
+    given = pose()
+    pair = given.default_params._replace(gyroscope_axes=0.01, accelerometer_axes=0.01)
+    options = given.simulate.keywords
+    params = system.default_params._replace(pair=pair, position_limit=1.0, rotation_limit=1.0, hold=0.3)
     return system._replace(default_params=params, simulate=partial(system.simulate, **options))

@@ -17,7 +17,7 @@ import pytest
 from deflection_models import FEW
 from deflection_models import build as bent_arm
 from kalman_models import build as kalman_body
-from onsite_models import pose, position, rotation, window
+from onsite_models import chain, pose, position, rotation, window
 from particle_models import GUIDED
 from particle_models import build as particle_arm
 from posture_models import fused, paired, pairs
@@ -54,6 +54,7 @@ ROWS = [
     Row("bingham_linear", rotation),
     Row("bingham_linear_general", partial(rotation, bingham_linear.general)),
     Row("onsite", pose),
+    Row("onsite_chain", chain),
     Row("rls", position),
     Row("rls_pseudo_inverse", partial(position, rls.pseudo_inverse)),
     Row("kalman_iterated", partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0)),

@@ -59,7 +59,7 @@ def align(
         slopes = _skew(y0) - turns @ _skew(x0)
         gram = np.einsum("nji,njk->ik", slopes, slopes)
         change = np.linalg.lstsq(gram, np.einsum("nji,nj->i", slopes, errors), rcond=1e-12)[0]
-        found = _exps(change[None])[0] @ found
+        found = rotations(change[None])[0] @ found
         if np.linalg.norm(change) < 1e-10:
             break
     return _judged(found, errors, slopes, count, tolerance)
@@ -89,7 +89,7 @@ def _judged(
 
 def _turned(time: NDArray[np.float64], rate: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Rotations (n - count, 3, 3) D of the earth's vectors in the sensor from each moment to `count` samples later."""
-    steps = _exps((rate[1:] + rate[:-1]) / 2 * np.diff(time)[:, None])
+    steps = rotations((rate[1:] + rate[:-1]) / 2 * np.diff(time)[:, None])
     number = len(time) - count
     product = steps[:number]
     for shift in range(1, count):
@@ -104,12 +104,12 @@ def _skew(v: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
 
 
-def _exps(v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation matrices (n, 3, 3) of rotation vectors (n, 3)."""
+def rotations(v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rotation matrices (n, 3, 3) of rotation vectors (n, 3)."""
     angle = np.linalg.norm(v, axis=1)[:, None, None]
     k = _skew(v)
     half = np.sinc(angle / (2 * np.pi))
     return np.eye(3) + np.sinc(angle / np.pi) * k + half * half / 2 * (k @ k)
 
 
-__all__ = ["Alignment", "align"]
+__all__ = ["Alignment", "align", "rotations"]

@@ -6,7 +6,7 @@ sensors' axes goes beyond it.
 
 import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,9 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from jaxest.calibration import alignment, ellipsoid, imu_static
 from jaxest.types import InputError
 
+UNCALIBRATED = 0.01
+"""Standard deviation of an entry of a small MEMS sensor's axes as it comes: data sheets allow 1 to 3 %."""
+
 
 class Calibration(NamedTuple):
-    """How to correct an IMU: rates less their bias, forces `matrix @ (reading - bias)`."""
+    """How to correct an IMU: rates and forces are `matrix @ (reading - bias)`."""
 
     gyroscope_bias: NDArray[np.float64]
     """(3,) rad/s"""
@@ -28,6 +31,12 @@ class Calibration(NamedTuple):
     """(3,) m/s2"""
     accelerometer_noise: float
     """m/s2, likewise"""
+    gyroscope_matrix: NDArray[np.float64] = np.eye(3)
+    """(3, 3), into the axes of the case, where `tumble` found them"""
+    gyroscope_axes: float = UNCALIBRATED
+    """standard deviation of an entry of the gyro's matrix"""
+    accelerometer_axes: float = UNCALIBRATED
+    """likewise of the accelerometer's, in the case; an ellipsoid fit leaves it as the gyro's axes are"""
 
 
 class Readings(NamedTuple):
@@ -69,7 +78,7 @@ def apply(
     calibration: Calibration, gyroscope: ArrayLike, accelerometer: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Correct rates (n, 3) and forces (n, 3)."""
-    rates = np.asarray(gyroscope, np.float64) - calibration.gyroscope_bias
+    rates = (np.asarray(gyroscope, np.float64) - calibration.gyroscope_bias) @ calibration.gyroscope_matrix.T
     forces = (
         np.asarray(accelerometer, np.float64) - calibration.accelerometer_bias
     ) @ calibration.accelerometer_matrix.T
@@ -92,7 +101,8 @@ def load(path: str | Path) -> dict[str, Calibration]:
         Calibrations by name.
 
     Raises:
-        InputError: no such file, or not such a file; what is missing is named.
+        InputError: no such file, or not such a file; what is missing is named. The gyro's matrix and both `axes` may
+            be missing: a gyro that was not tumbled.
     """
     path = Path(path)
     if not path.is_file():
@@ -100,10 +110,12 @@ def load(path: str | Path) -> dict[str, Calibration]:
     try:
         plain = json.loads(path.read_text(encoding="utf-8"))
         shapes = {"gyroscope_bias": (3,), "gyroscope_noise": (), "accelerometer_matrix": (3, 3),
-                  "accelerometer_bias": (3,), "accelerometer_noise": ()}  # fmt: skip
+                  "accelerometer_bias": (3,), "accelerometer_noise": (), "gyroscope_matrix": (3, 3),
+                  "gyroscope_axes": (), "accelerometer_axes": ()}  # fmt: skip
+        usual = Calibration._field_defaults
         found = {}
         for name, one in plain.items():
-            values = {key: np.asarray(one[key], np.float64) for key in shapes}
+            values = {key: np.asarray({**usual, **one}[key], np.float64) for key in shapes}
             wrong = [
                 key for key, shape in shapes.items() if values[key].shape != shape or not np.isfinite(values[key]).all()
             ]
@@ -111,10 +123,8 @@ def load(path: str | Path) -> dict[str, Calibration]:
                 raise InputError(
                     f"{path}: {name}: {wrong[0]} has shape {values[wrong[0]].shape}, expected {shapes[wrong[0]]}"
                 )
-            found[name] = Calibration(
-                values["gyroscope_bias"], float(values["gyroscope_noise"]), values["accelerometer_matrix"],
-                values["accelerometer_bias"], float(values["accelerometer_noise"]),
-            )  # fmt: skip
+            plain_ones: Any = {key: v if v.shape else float(v) for key, v in values.items()}
+            found[name] = Calibration(**plain_ones)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         if isinstance(error, InputError):
             raise

@@ -60,6 +60,29 @@ def calibrate(
         InputError: shapes or stamps are wrong, values are not finite, or the sensor never rests; the message says how
             quiet it was at best.
     """
+    t, w, f, found = _rests(time, gyroscope, accelerometer, least, 2 * half_width + 2)
+    rows = max(found, key=lambda r: r.stop - r.start)
+    turns = sg.smooth(t[rows], w[rows], half_width=half_width, degree=degree)
+    slope = np.asarray(turns.derivative, np.float64)[half_width:-half_width]
+    return Rest(
+        rows.start, rows.stop, w[rows].mean(axis=0), np.cov(w[rows].T), np.cov(slope.T), f[rows].mean(axis=0),
+        np.cov(f[rows].T),
+    )  # fmt: skip
+
+
+def rests(time: ArrayLike, gyroscope: ArrayLike, accelerometer: ArrayLike, *, least: float = 0.5) -> tuple[slice, ...]:
+    """Find every rest in a recording; arguments and errors as for `calibrate`.
+
+    Returns:
+        The rows of each, in order of time.
+    """
+    return _rests(time, gyroscope, accelerometer, least, 2)[3]
+
+
+def _rests(
+    time: ArrayLike, gyroscope: ArrayLike, accelerometer: ArrayLike, least: float, fewest: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], tuple[slice, ...]]:
+    """The recording, checked, and the rows of its rests."""
     t, w, f = (np.asarray(x, np.float64) for x in (time, gyroscope, accelerometer))
     if t.ndim != 1 or w.shape != (len(t), 3) or f.shape != (len(t), 3):
         raise InputError(f"time, gyroscope, accelerometer: got {t.shape}, {w.shape}, {f.shape}, expected (n,), (n, 3)")
@@ -68,7 +91,7 @@ def calibrate(
             raise InputError(f"{name}: row {int(np.argmin(np.isfinite(x).all(axis=1)))} is not finite")
     if len(t) < 2 or not (np.diff(t) > 0).all():
         raise InputError("time: expected at least two increasing stamps")
-    width = max(round(least / float(np.median(np.diff(t)))), 2 * half_width + 2)
+    width = max(round(least / float(np.median(np.diff(t)))), fewest)
     if len(t) < width:
         raise InputError(f"time: got {len(t)} samples, expected at least {width}, {least} s")
     scatter = [_scatter(x, width) for x in (w, f)]
@@ -80,14 +103,11 @@ def calibrate(
         )
     floor = [1e-9 + 2 * b for b in best]
     quiet = np.all([s <= limit for s, limit in zip(scatter, floor, strict=True)], axis=0)
-    start, stop = _longest(quiet)
-    rows = slice(start, stop - 1 + width)
-    turns = sg.smooth(t[rows], w[rows], half_width=half_width, degree=degree)
-    slope = np.asarray(turns.derivative, np.float64)[half_width:-half_width]
-    return Rest(
-        rows.start, rows.stop, w[rows].mean(axis=0), np.cov(w[rows].T), np.cov(slope.T), f[rows].mean(axis=0),
-        np.cov(f[rows].T),
-    )  # fmt: skip
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.astype(int), [0]])))
+    if len(edges) == 0:
+        raise InputError("recording: gyro and accelerometer are never quiet together; let it rest for some seconds")
+    runs = zip(edges[::2], edges[1::2], strict=True)
+    return t, w, f, tuple(slice(int(start), int(stop) - 1 + width) for start, stop in runs)
 
 
 def _scatter(x: NDArray[np.float64], width: int) -> NDArray[np.float64]:
@@ -98,14 +118,4 @@ def _scatter(x: NDArray[np.float64], width: int) -> NDArray[np.float64]:
     return np.sqrt(np.maximum(square - mean**2, 0)).max(axis=1)
 
 
-def _longest(flags: NDArray[np.bool_]) -> tuple[int, int]:
-    """Start and stop of the longest run of true; there is one."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
-    if len(edges) == 0:
-        raise InputError("recording: gyro and accelerometer are never quiet together; let it rest for some seconds")
-    starts, stops = edges[::2], edges[1::2]
-    longest = int(np.argmax(stops - starts))
-    return int(starts[longest]), int(stops[longest])
-
-
-__all__ = ["Rest", "calibrate"]
+__all__ = ["Rest", "calibrate", "rests"]

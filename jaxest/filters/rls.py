@@ -54,9 +54,9 @@ class State(NamedTuple):
     queue: Array
     """(N_lag, 3) residuals as they came, newest last."""
     block: Array
-    """(12,) Q and P^-1 of the steps since the last whole block."""
+    """(9,) Q and the upper triangle of P^-1 of the steps since the last whole block."""
     blocks: Array
-    """(12, 12) sum over whole blocks of that vector with itself."""
+    """(9, 9) sum over whole blocks of that vector with itself."""
     pending: Array
     """() bool, whether the sums are still to be divided by the residuals' variance."""
     seen: Array
@@ -104,7 +104,7 @@ def init(params: Params, *, key: Array | None = None, lag: int = 100) -> State:
     dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
     none = jnp.zeros((), jnp.int32)
     information, projection, queue, block, blocks = (
-        jnp.zeros(shape, dtype) for shape in ((3, 3), (3,), (lag, 3), (12,), (12, 12))
+        jnp.zeros(shape, dtype) for shape in ((3, 3), (3,), (lag, 3), (9,), (9, 9))
     )
     return State(information, projection, queue, block, blocks, none > 0, none, none)
 
@@ -187,7 +187,7 @@ def step(
     gain = product(o.T, weighted) - jnp.where(there, jnp.trace(weight) / 3, 0) * noisy
     moved = jnp.sum(weighted * y[:, None], axis=0)
     kept = jnp.where(there, gamma, 1) * ratio
-    part = ratio * state.block + jnp.concatenate([moved, gain.reshape(9)])
+    part = ratio * state.block + jnp.concatenate([moved, gain[0], gain[1, 1:], gain[2, 2:]])
     whole = there & (seen % block == 0)
     blocks = kept * kept * state.blocks + jnp.where(whole, outer(part, part), 0)
     state = State(
@@ -235,10 +235,10 @@ def _read(
 
 
 def _rows(x: Array) -> Array:
-    """Matrix (3, 9) that takes a (3, 3), written row by row, to its product with x."""
-    zero = jnp.zeros_like(x)
-    rows = [[x if i == j else zero for j in range(3)] for i in range(3)]
-    return jnp.stack([jnp.concatenate(row) for row in rows])
+    """Matrix (3, 6) that takes the upper triangle of a symmetric (3, 3), row by row, to its product with x."""
+    a, b, c = x
+    zero = jnp.zeros_like(a)
+    return jnp.stack([a, b, c, zero, zero, zero, zero, a, zero, b, c, zero, zero, zero, a, zero, b, c]).reshape(3, 6)
 
 
 def usable(measurement: Observation, dtype: Any) -> tuple[Array, Array, Array, Array, Array]:

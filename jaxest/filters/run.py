@@ -126,11 +126,10 @@ def _run(step: Step, history: Any, params: PyTree, state0: PyTree, measurements:
 
 
 def _last(advance: Any, state0: PyTree, measurements: PyTree) -> tuple[PyTree, PyTree]:
-    def body(carry: Any, measurement: PyTree) -> tuple[Any, None]:
-        return advance(carry[0], measurement), None
-
-    carry, _ = jax.lax.scan(body, (state0, _empty(advance, state0, measurements)), measurements)
-    return carry
+    """Only the state is kept in the loop: what the steps before the last one say beyond it is never computed."""
+    before, final = jax.tree.map(lambda x: x[:-1], measurements), jax.tree.map(lambda x: x[-1], measurements)
+    state, _ = jax.lax.scan(lambda state, measurement: (advance(state, measurement)[0], None), state0, before)
+    return advance(state, final)
 
 
 def _every(advance: Any, period: int, state0: PyTree, measurements: PyTree) -> tuple[PyTree, Sampled]:

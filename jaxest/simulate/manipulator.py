@@ -11,9 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.calibration.imu import Readings
 from jaxest.kinematics.modular import TOOL, Assembly, Module, known
 from jaxest.kinematics.urdf_frames import turned
 from jaxest.manifolds.se3 import Pose
+from jaxest.simulate import tumble
 from jaxest.simulate.imu import Sensor
 from jaxest.simulate.manipulator_model import BOX, STEP, WALL, Sticks, model
 from jaxest.simulate.noise import Triad, corrupt
@@ -35,6 +37,8 @@ class Recording(NamedTuple):
     """[link][end] (n, 3) m/s2."""
     swung: tuple[int, ...]
     """Which joint swings, `TURN` seconds each, from `REST` on."""
+    tumbled: tuple[tuple[Readings, ...], ...]
+    """[link][end] the same IMU before it was built in, turned over on a plate (`jaxest.calibration.tumble`)."""
 
 
 class Drop(NamedTuple):
@@ -48,11 +52,14 @@ class Drop(NamedTuple):
     """(3,) m, where the gripper let go, the servos' sag included."""
 
 
-def calibrated() -> Sensor:
-    """Return a small MEMS IMU after a calibration: what is left of its errors."""
+FLATNESS = 3e-4  # rad, of a block's faces on a plate: 15 um on 50 mm
+
+
+def mems() -> Sensor:
+    """Return a small MEMS IMU as it comes, its axes off by 1 %."""
     return Sensor(
-        Triad(density=1e-4, bias=0.01, walk=1e-5, scale=0.002, misalignment=0.002, limit=35.0, resolution=1e-3),
-        Triad(density=1.5e-3, bias=0.02, walk=1e-5, scale=0.001, misalignment=0.002, limit=78.0, resolution=2.4e-3),
+        Triad(density=1e-4, bias=0.05, walk=1e-5, scale=0.01, misalignment=0.01, limit=35.0, resolution=1e-3),
+        Triad(density=1.5e-3, bias=0.3, walk=1e-5, scale=0.01, misalignment=0.01, limit=78.0, resolution=2.4e-3),
         jitter=3e-4,
         drop=0.02,
     )
@@ -128,7 +135,7 @@ def swing(
         seconds: of swinging, after a rest of `REST`.
         amplitude: rad.
         rate_hz: Hz, of the swinging.
-        sensor: which IMUs; `calibrated()` if None.
+        sensor: which IMUs; `mems()` if None.
 
     Returns:
         The recording: each IMU samples at its own moments.
@@ -159,7 +166,7 @@ def swing(
         data.ctrl[which[i]] += wave[i]
         mujoco.mj_step(arm, data)
         read[i] = data.sensordata
-    return _recorded(sticks, arm, at, read, random, sensor or calibrated(), swung)
+    return _recorded(sticks, arm, at, read, random, sensor or mems(), swung)
 
 
 def _recorded(
@@ -167,31 +174,42 @@ def _recorded(
     sensor: Sensor, swung: tuple[int, ...],
 ) -> Recording:  # fmt: skip
     names = [arm.site(i).name for i in range(arm.nsite) if arm.site(i).name != TOOL]
-    columns: list[list[tuple[NDArray[np.float64], ...]]] = []
+    columns: list[list[tuple[Readings, Readings]]] = []
     modules = sticks.assembly.modules
     for k in sticks.assembly.unknown:
         ends = (f"{modules[k].name}_after", f"{modules[k + 1].name}_before")
         columns.append([_sampled(at, read, names.index(end), random, sensor) for end in ends])
-    time, rates, forces = (tuple(tuple(end[i] for end in link) for link in columns) for i in range(3))
-    return Recording(time, rates, forces, swung)
+    parts = [tuple(tuple(end[0][i] for end in link) for link in columns) for i in range(3)]
+    time, rates, forces = parts
+    return Recording(time, rates, forces, swung, tuple(tuple(end[1] for end in link) for link in columns))
 
 
 def _sampled(
     at: NDArray[np.float64], read: NDArray[np.float64], number: int, random: np.random.Generator, sensor: Sensor
-) -> tuple[NDArray[np.float64], ...]:
-    """Stamps and readings of one IMU: late, some lost, each with its faults."""
-    count = int((at[-1] - 2 / RATE) * RATE)
-    jitter = float(np.asarray(sensor.jitter))
-    true = (np.arange(count) + random.uniform(0, 1)) / RATE + np.clip(jitter * random.normal(size=count), -1e-3, 1e-3)
-    kept = random.uniform(size=count) >= float(np.asarray(sensor.drop))
-    dt = jnp.asarray(np.diff(true, prepend=true[0]), jnp.float32)
-    readings = []
+) -> tuple[Readings, Readings]:
+    """One IMU's readings while the robot swings, and before, on the plate: late, some lost, each with its faults."""
+    block = tumble.draw(random, flatness=FLATNESS)
+    counts = [int(block.duration * RATE), int((at[-1] - 2 / RATE) * RATE)]
+    first, true = (_moments(count, random, sensor) for count in counts)
+    perfect = tumble.ideal(block, first)
+    dt = jnp.asarray(np.concatenate([np.diff(x, prepend=x[0]) for x in (first, true)]), jnp.float32)
+    kept = [random.uniform(size=count) >= float(np.asarray(sensor.drop)) for count in counts]
+    found: list[list[NDArray[np.float64]]] = [[first[kept[0]]], [true[kept[1]]]]
     for part, triad in enumerate((sensor.gyroscope, sensor.accelerometer)):
         columns = slice(6 * number + 3 * part, 6 * number + 3 * part + 3)
         ideal = np.stack([np.interp(true, at, column) for column in read[:, columns].T], axis=1)
         key = jax.random.key(int(random.integers(2**31)))
-        readings.append(np.asarray(_corrupt(key, triad, jnp.asarray(ideal, jnp.float32), dt), np.float64)[kept])
-    return np.asarray(true[kept], np.float64), readings[0], readings[1]
+        whole = jnp.asarray(np.concatenate([perfect[part], ideal]), jnp.float32)
+        readings = np.asarray(_corrupt(key, triad, whole, dt), np.float64)
+        for place, rows in enumerate(np.split(readings, [counts[0]])):
+            found[place].append(rows[kept[place]])
+    return Readings(*found[1]), Readings(*found[0])
+
+
+def _moments(count: int, random: np.random.Generator, sensor: Sensor) -> NDArray[np.float64]:
+    """When samples are taken, s."""
+    late = np.clip(float(np.asarray(sensor.jitter)) * random.normal(size=count), -1e-3, 1e-3)
+    return np.asarray((np.arange(count) + random.uniform(0, 1)) / RATE + late, np.float64)
 
 
 @jax.jit
@@ -237,15 +255,16 @@ def drop(sticks: Sticks, q: NDArray[np.float64], box: NDArray[np.float64], *, mo
 __all__ = [
     "ABOVE",
     "BOX",
+    "FLATNESS",
     "RATE",
     "REST",
     "TURN",
     "Drop",
     "Recording",
     "Sticks",
-    "calibrated",
     "draw",
     "drop",
+    "mems",
     "model",
     "swing",
 ]

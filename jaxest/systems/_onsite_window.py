@@ -39,40 +39,50 @@ class Window(NamedTuple):
     steep: Array
     """() 1/s^2, likewise for the derivative."""
     ready: Array
-    """() bool, whether both IMUs have more samples in it than the degree."""
+    """() bool, whether it has more samples of both IMUs than the degree."""
 
 
-def means(time: Array, value: Array, valid: Array, query: Array, *, degree: int, plain: bool) -> tuple[Means, Array]:
-    """Average one IMU.
+def read(time: Array, value: Array, valid: Array, query: Array, *, degree: int, plain: bool) -> Window:
+    """Average both IMUs over one window, with the same weights, so that no response of the filter is left between them.
 
     Args:
         time: (W,) s, as `savitzky_golay.averaging` wants it.
-        value: (W, 6) rate and specific force; where missing, those of the sample before.
-        valid: (W,) bool.
+        value: (W, 12) rates of A and of P, then their specific forces; where missing, those of the sample before.
+        valid: (W,) bool, whether both IMUs' samples are there.
         query: () s, the time of the fit.
         degree: of the polynomial, static.
         plain: static, evaluate the fits at the query as the paper does instead of averaging.
 
     Returns:
-        The averages, and (3,): their gain, the derivative's, and the number of samples.
+        The averages.
     """
     fit = sg.weights(time, valid, query, degree=degree)
     w = fit.value if plain else sg.averaging(time, fit.derivative)
-    rate = value[:, :3]
-    pairs = jnp.concatenate([rate * rate, rate * jnp.roll(rate, -1, axis=1)], axis=1)
-    sums = product(jnp.stack([w, fit.derivative]), jnp.concatenate([value, pairs], axis=1))
-    averaged, turn = sums[0, :6], sums[1, :3]
-    xx, yy, zz, xy, yz, zx = sums[0, 6:]
+    rates = value[:, :6]
+    shifted = jnp.roll(rates.reshape(-1, 2, 3), -1, axis=2).reshape(-1, 6)
+    pairs = jnp.concatenate([value, rates * rates, rates * shifted], axis=1)
+    sums = product(jnp.stack([w, fit.derivative]), pairs)
+    a, p = (_means(sums, 3 * side, plain) for side in (0, 1))
+    return Window(a, p, jnp.sum(w * w), jnp.sum(fit.derivative**2), fit.samples > degree)
+
+
+def _means(sums: Array, at: int, plain: bool) -> Means:
+    """One IMU's averages from the sums (2, 24), its first column `at`."""
+    rate, force, same, mixed = (sums[0, k + at : k + at + 3] for k in (0, 6, 12, 18))
+    xx, yy, zz = same
+    xy, yz, zx = mixed
     square = jnp.stack([xx, xy, zx, xy, yy, yz, zx, yz, zz]).reshape(3, 3)
-    square = outer(averaged[:3], averaged[:3]) if plain else square
-    numbers = jnp.stack([jnp.sum(w * w), jnp.sum(fit.derivative**2), fit.samples.astype(value.dtype)])
-    return Means(averaged[:3], turn, square, averaged[3:]), numbers
+    return Means(rate, sums[1, at : at + 3], outer(rate, rate) if plain else square, force)
 
 
-def combine(a: tuple[Means, Array], p: tuple[Means, Array], degree: int) -> Window:
-    """Put the averages of both IMUs together, the gains by their mean."""
-    gain, steep, _ = (a[1] + p[1]) / 2
-    return Window(a[0], p[0], gain, steep, jnp.minimum(a[1][2], p[1][2]) > degree)
+def bent(window: Window, off: Array) -> Window:
+    """Return what sensors would say whose axes are off by `off` (4, 3, 3): gyros A and P, accelerometers A and P."""
+    sides = []
+    for imu, gyro, acc in zip((window.a, window.p), off[:2], off[2:], strict=True):
+        gyro, acc = (jnp.eye(3, dtype=off.dtype) + x for x in (gyro, acc))
+        rate, turn = (jnp.sum(gyro * x[None, :], axis=1) for x in (imu.rate, imu.turn))
+        sides.append(Means(rate, turn, sandwich(gyro, imu.square), jnp.sum(acc * imu.force[None, :], axis=1)))
+    return window._replace(a=sides[0], p=sides[1])
 
 
 def spin(imu: Means, bias: Array) -> Array:

@@ -34,17 +34,23 @@ class Params(NamedTuple):
     """() gamma_pos, above 0 to 1, at each step."""
     gate: ArrayLike = 0.005
     """() rad, the position waits until the rotation's standard deviation about every axis is below this."""
+    gyroscope_axes: ArrayLike = 0.0
+    """() standard deviation of each entry of the matrix (3, 3) by which either gyro's axes are off in scale and
+    direction, rad; it does not average out, and belongs to the covariance. 0 for exact ones."""
+    accelerometer_axes: ArrayLike = 0.0
+    """() likewise of either accelerometer."""
 
 
 class State(NamedTuple):
     """What the next step needs."""
 
-    a: sg.State
-    p: sg.State
+    window: sg.State
+    """12 channels: rates of A and of P, then their specific forces."""
     rotation: bingham_linear.State
     position: rls.State
     lever: Array
-    """(3, 6) sums of O'O and of -O'R[f_P x], for what an error of the rotation does to the position."""
+    """(3, 12) sums of O'O, then of O_ki (R f_P)_l in row i and column 3 + 3 k + l: what errors of the rotation and of
+    the forces do to the position."""
     gain: Array
     """() mean gain of the averages so far."""
     index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
@@ -94,8 +100,8 @@ def build(
             over the window.
 
     Returns:
-        The system, the same object for the same choices. Its measurement is `Pair`; an IMU's sample counts where its
-        gyro and its accelerometer are both there.
+        The system, the same object for the same choices. Its measurement is `Pair`; a sample counts where both sensors
+        of both IMUs are there.
 
     Raises:
         ValueError: the window is no longer than the degree, or the degree is below 1.
@@ -121,10 +127,10 @@ def init(params: Params, *, key: Array | None = None, half_width: int = 7, lag: 
     """Return the state that has seen no data, in the dtype of the parameters; arguments as for `build`."""
     dtype = jnp.result_type(*(jnp.asarray(x) for x in params))
     zero = jnp.zeros((), dtype)
-    window = sg.init(sg.Params(zero), half_width=half_width, channels=6)
+    window = sg.init(sg.Params(zero), half_width=half_width, channels=12)
     turn = bingham_linear.init(_turning(params, zero))
     place = rls.init(rls.Params(zero, zero, zero), lag=lag)
-    return State(window, window, turn, place, jnp.zeros((3, 6), dtype), zero, jnp.zeros((), jnp.int32))
+    return State(window, turn, place, jnp.zeros((3, 12), dtype), zero, jnp.zeros((), jnp.int32))
 
 
 def _turning(params: Params, zero: Array) -> bingham_linear.Params:
@@ -158,52 +164,59 @@ def step(
     Source: Sato 2024, sections III-A to III-D.
     """
     dtype = state.gain.dtype
-    a, p, dt, status = _push(params, state, measurement)
-    width = len(a.age)
-    delay = a.elapsed[width // 2]
-    first, second = (win.means(-s.age, s.value, s.valid, -delay, degree=degree, plain=plain) for s in (a, p))
-    window = win.combine(first, second, degree)
+    pushed, dt, status = _push(params, state, measurement)
+    width = len(pushed.age)
+    delay = pushed.elapsed[width // 2]
+    window = win.read(-pushed.age, pushed.value, pushed.valid, -delay, degree=degree, plain=plain)
     ready = window.ready & (state.index + 1 >= width)
     turn, found, spread, covariance, gain = _rotation(params, state, window, ready)
     rotation = quat.to_matrix(found.quaternion)
     half = found.bias / 2  # two gyros of one kind: each has its share of what differs
     back = jnp.sum(rotation * half[:, None], axis=0)
     o = win.regressor(window, rotation, half, -back, spread * (window.gain if plain else 1))
-    force = jnp.sum(rotation * window.p.force[None, :], axis=1) - window.a.force
+    turned = jnp.sum(rotation * window.p.force[None, :], axis=1)
     known = ready & (jnp.max(jnp.diagonal(covariance)) < jnp.asarray(params.gate, dtype) ** 2)
     noisy = win.turning_noise(spread * (0 if plain else window.steep / 4))
-    observation = rls.Observation(Reading(o, known), Reading(force, known), noisy, dt)
+    observation = rls.Observation(Reading(o, known), Reading(turned - window.a.force, known), noisy, dt)
     forgetting = jnp.asarray(params.forgetting_position, dtype)
     settings = rls.Params(forgetting, jnp.zeros((), dtype), jnp.asarray(1e-4, dtype))
     position, place = rls.step(settings, state.position, observation, block=4 * width, start=rls.unweighted)
-    lever = _lever(state.lever, o, rotation, window.p.force, known, forgetting)
-    state = State(a, p, turn, position, lever, gain, state.index + 1)
-    return state, _info(found, covariance, spread, gain, noisy, place, lever, delay, ready, status)
+    lever = _lever(state, o, turned, known, forgetting)
+    state = State(pushed, turn, position, lever, gain, state.index + 1)
+    turning = _Turning(rotation, covariance, _askew(params, turn))
+    near, whole = _covariance(params, turning, place, lever, gain, noisy)
+    info = Info(
+        place.estimate, found.quaternion, whole, found.bias, place.residual, root(jnp.trace(place.noise) / 3),
+        root(jnp.trace(spread) / 6), delay, place.valid & ready, near & place.valid, status,
+    )  # fmt: skip
+    return state, info
 
 
-def _push(params: Params, state: State, measurement: Pair) -> tuple[sg.State, sg.State, Array, Array]:
-    """Both windows with the new sample."""
-    windows, bad = [], []
+def _push(params: Params, state: State, measurement: Pair) -> tuple[sg.State, Array, Array]:
+    """The window with the new sample, dt and the status."""
     dtype = state.gain.dtype
     dt = jnp.asarray(measurement.dt, dtype)
-    for side, window, bias in (("a", state.a, params.bias_a), ("p", state.p, params.bias_p)):
-        readings = [getattr(measurement, f"{kind}_{side}") for kind in ("gyroscope", "accelerometer")]
-        value = [jnp.asarray(x.value, dtype) for x in readings]
-        flags = [jnp.asarray(x.valid, bool) for x in readings]
-        shapes = [x.shape for x in (*value, *flags, dt)]
-        if shapes != [(3,), (3,), (), (), ()]:
+    values, there, broken = [], jnp.isfinite(dt), ~jnp.isfinite(dt)
+    for name in _CHANNELS:
+        reading = getattr(measurement, name)
+        value, flag = jnp.asarray(reading.value, dtype), jnp.asarray(reading.valid, bool)
+        if (value.shape, flag.shape, dt.shape) != ((3,), (), ()):
             raise ValueError(
-                f"measurement, IMU {side}: got shapes {shapes} for gyroscope, accelerometer, their valid and dt, "
-                "expected (3,), (3,), (), (), (); vmap or run adds other axes"
+                f"measurement, {name}: got shapes {value.shape} and {flag.shape} for value and valid, {dt.shape} for "
+                "dt, expected (3,), () and (); vmap or run adds other axes"
             )
-        finite = [jnp.all(jnp.isfinite(x)) for x in value]
-        bad += [flag & ~fine for flag, fine in zip(flags, finite, strict=True)]
-        there = flags[0] & flags[1] & finite[0] & finite[1] & jnp.isfinite(dt)
-        sample = jnp.concatenate([value[0] - jnp.asarray(bias, dtype), value[1]])
-        windows.append(sg.push(window, jnp.where(there, sample, 0), there, jnp.where(jnp.isfinite(dt), dt, 0)))
-    broken = bad[0] | bad[1] | bad[2] | bad[3] | ~jnp.isfinite(dt)
+        finite = jnp.all(jnp.isfinite(value))
+        there, broken = there & flag & finite, broken | (flag & ~finite)
+        values.append(value)
+    known = jnp.concatenate([jnp.asarray(params.bias_a, dtype), jnp.asarray(params.bias_p, dtype)])
+    rates, forces = jnp.concatenate(values[:2]), jnp.concatenate(values[2:])
+    sample = jnp.where(there, jnp.concatenate([rates - known, forces]), 0)
+    step = jnp.where(jnp.isfinite(dt), dt, 0)
     status = jnp.where(broken, NON_FINITE, OK).astype(jnp.int32)
-    return windows[0], windows[1], jnp.where(jnp.isfinite(dt), dt, 0), status
+    return sg.push(state.window, sample, there, step), step, status
+
+
+_CHANNELS = ("gyroscope_a", "gyroscope_p", "accelerometer_a", "accelerometer_p")
 
 
 def _rotation(
@@ -224,20 +237,44 @@ def _rotation(
     return moved, found, spread, found.covariance * ratio, gain
 
 
-def _lever(lever: Array, o: Array, rotation: Array, force: Array, known: Array, forgetting: Array) -> Array:
-    x, y, z = force
-    zero = jnp.zeros_like(x)
-    skew = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
-    fresh = product(o.T, jnp.concatenate([o, -product(rotation, skew)], axis=1))
-    return jnp.where(known, forgetting * lever + fresh, lever)
+def _lever(state: State, o: Array, force: Array, known: Array, forgetting: Array) -> Array:
+    """Next sums; a step that does not count adds nothing and forgets nothing."""
+    products = (o.T[:, :, None] * force[None, None, :]).reshape(3, 9)
+    fresh = jnp.concatenate([product(o.T, o), products], axis=1)
+    return jnp.where(known, forgetting * state.lever + fresh, state.lever)
 
 
-def _info(
-    found: bingham_linear.Estimate, turning: Array, spread: Array, gain: Array, noisy: Array, place: rls.Info,
-    lever: Array, delay: Array, ready: Array, status: Array,
-) -> Info:  # fmt: skip
-    # Each step used the rotation of its time, whose error then was larger: twice the variance of the last.
-    moved = product(inverse3(lever[:, :3]), lever[:, 3:])
+class _Turning(NamedTuple):
+    """The rotation and what is not known of it, in P."""
+
+    matrix: Array
+    noise: Array
+    askew: Array
+
+
+def _askew(params: Params, turn: bingham_linear.State) -> Array:
+    """Covariance (3, 3) that gyros with crooked axes leave of the rotation.
+
+    If R'w_A = w_P + D w_P with independent entries of D, the rotation turns by (tr S I - S)^-1 sum of w x D w, S the
+    rates' second moment: the covariance of that sum is tr(S^2) I - S^2 times the variance of an entry.
+    """
+    s = turn.scatter[3:, 3:]
+    s = s / jnp.where(turn.weight > 0, turn.weight, 1)
+    eye = jnp.eye(3, dtype=s.dtype)
+    square = product(s, s)
+    back = inverse3(jnp.trace(s) * eye - s)
+    entry = 2 * jnp.asarray(params.gyroscope_axes, s.dtype) ** 2  # of the difference of two
+    return entry * sandwich(back, jnp.trace(square) * eye - square)
+
+
+def _covariance(
+    params: Params, turning: _Turning, place: rls.Info, lever: Array, gain: Array, noisy: Array
+) -> tuple[Array, Array]:
+    """Whether the pose is known to 5 mm and 0.1 deg, and its covariance (6, 6)."""
+    inverse, force = inverse3(lever[:, :3]), lever[:, 3:]
+    # Sum of O'[R f_P x]; a turn d of P on the right moves R f_P by -[R f_P x] R d.
+    crossed = jnp.stack([force[:, 5] - force[:, 7], force[:, 6] - force[:, 2], force[:, 1] - force[:, 3]], axis=1)
+    moved = -product(inverse, product(crossed, turning.matrix))
     # Overlapping windows repeat each other: over many, their noise is that of single samples. Blocks of windows tell
     # by how much the residuals' slow part exceeds that; their mean ratio is used, for single variances are uncertain.
     # The derivatives' noise is quick and leaves no such slow part: its share of the residuals does not count.
@@ -247,16 +284,25 @@ def _info(
     white = place.formal * (share / jnp.where(gain > 0, gain, 1))
     ratio = jnp.sum(inverse3(white) * place.covariance) / 3
     placed = white * jnp.maximum(ratio, 1)
-    cross = product(turning, moved.T)
-    placing = placed + 2 * sandwich(moved, turning)
+    # Each step used the rotation of its time, whose error then was larger: twice the variance of the last.
+    turned = turning.noise + turning.askew
+    cross = product(turned, moved.T)
+    placing = placed + sandwich(moved, turned + turning.noise) + _stretched(params, place.estimate, inverse, force)
     whole = jnp.concatenate(
-        [jnp.concatenate([turning, cross], axis=1), jnp.concatenate([cross.T, placing], axis=1)]
+        [jnp.concatenate([turned, cross], axis=1), jnp.concatenate([cross.T, placing], axis=1)]
     )  # fmt: skip
-    near = (4 * jnp.trace(placing) < 0.005**2) & (4 * jnp.trace(turning) < math.radians(0.1) ** 2)
-    return Info(
-        place.estimate, found.quaternion, whole, found.bias, place.residual, root(jnp.trace(place.noise) / 3),
-        root(jnp.trace(spread) / 6), delay, place.valid & ready, near & place.valid, status,
-    )  # fmt: skip
+    near = (4 * jnp.trace(placing) < 0.005**2) & (4 * jnp.trace(turned) < math.radians(0.1) ** 2)
+    return near, whole
+
+
+def _stretched(params: Params, position: Array, inverse: Array, force: Array) -> Array:
+    """Covariance (3, 3) that crooked axes leave of the position besides what the rotation's error does."""
+    gyro, acc = (jnp.asarray(x, force.dtype) for x in (params.gyroscope_axes, params.accelerometer_axes))
+    # The regressor is linear in the rates' derivatives and quadratic in the rates: entries e of the mean of both gyros'
+    # matrices, of half the variance of one, show as e to 2 e; between the two. The forces, both near R f_P, differ by
+    # D R f_P.
+    own = gyro * gyro * jnp.sum(position * position) * jnp.eye(3, dtype=force.dtype)
+    return own + 2 * acc * acc * sandwich(inverse, product(force, force.T))
 
 
 def root(x: Array) -> Array:

@@ -3,7 +3,8 @@
 All windows are solved together by Gauss-Newton: position, rotation, both gyros' biases and the difference of the
 accelerometers' biases, so that an early error of one does not stay in another. The squares of the rates tell the gyros'
 own biases, not only their difference. The covariance is that of white noise of the residuals' size, enlarged by what
-the scores of blocks of windows, each longer than the windows' overlap, scatter more than that. The window is the one
+the scores of blocks of windows, each longer than the windows' overlap, scatter more than that, and by what the sensors'
+axes may be off (`Prior`). The window is the one
 of several whose variance without that factor is smallest.
 """
 
@@ -32,6 +33,11 @@ class Prior(NamedTuple):
     """() rad/s, standard deviation of either gyro's bias about each axis; above 0."""
     accelerometer_bias: ArrayLike = 0.3
     """() m/s2, standard deviation of either accelerometer's bias along each axis; above 0."""
+    gyroscope_axes: ArrayLike = 0.0
+    """() standard deviation of each entry of the matrix (3, 3) by which either gyro's axes are off in scale and
+    direction, rad; it does not average out, and belongs to the covariance. 0 for exact ones."""
+    accelerometer_axes: ArrayLike = 0.0
+    """() likewise of either accelerometer."""
 
 
 class Estimate(NamedTuple):
@@ -137,7 +143,7 @@ def _solve(measurements: Pair, prior: Prior | None, half_width: Array, *, reach:
     windows = _windows(measurements, half_width, reach, degree)
     dtype = windows.gain.dtype
     settings = Prior() if prior is None else prior
-    gyro, acc = (jnp.asarray(x, dtype) for x in settings)
+    gyro, acc, *axes = (jnp.asarray(x, dtype) for x in settings)
     ready = windows.ready.astype(dtype)
     state, spread = _start(windows, ready)
     weights = (1 / (jnp.trace(spread) / 3), jnp.asarray(1.0, dtype))
@@ -153,22 +159,20 @@ def _solve(measurements: Pair, prior: Prior | None, half_width: Array, *, reach:
     carry = (state, spread, weights, zero, jnp.zeros((len(ready), SIZE), dtype))
     # The last pass moves nothing: it reads what belongs to the solution.
     state, spread, weights, h, scores = jax.lax.fori_loop(0, ITERATIONS + 1, body, carry)
-    return _read(
-        state, h, scores, _precision(gyro, acc, dtype), spread, weights, ready, 4 * (2 * half_width + 1), degree
-    )
+    bent = _bent(windows, ready, state, spread, weights) * jnp.repeat(jnp.stack(axes), 18)[None, :]
+    return _read(state, h, scores, _precision(gyro, acc, dtype), bent, weights, ready, 4 * (2 * half_width + 1), degree)
 
 
 def _windows(measurements: Pair, half_width: Array, reach: int, degree: int) -> win.Window:
     """Averages of the window about every sample, (T, ...); those that reach beyond an end are not ready."""
     dt = jnp.asarray(measurements.dt)
-    sides, there = [], jnp.ones(dt.shape, bool)
-    for side in "ap":
-        readings = [getattr(measurements, f"{kind}_{side}") for kind in ("gyroscope", "accelerometer")]
-        value = jnp.concatenate([jnp.asarray(x.value) for x in readings], axis=1)
-        fine = jnp.all(jnp.isfinite(value), axis=1)
-        there = there & fine & jnp.asarray(readings[0].valid) & jnp.asarray(readings[1].valid)
-        sides.append(jnp.where(fine[:, None], value, 0))
-    dt = dt.astype(sides[0].dtype)
+    readings = [getattr(measurements, f"{kind}_{side}") for kind in ("gyroscope", "accelerometer") for side in "ap"]
+    value = jnp.concatenate([jnp.asarray(x.value) for x in readings], axis=1)
+    there = jnp.all(jnp.isfinite(value), axis=1)
+    for reading in readings:
+        there = there & jnp.asarray(reading.valid)
+    value = jnp.where(there[:, None], value, 0)
+    dt = dt.astype(value.dtype)
     count = len(dt)
     offsets = jnp.arange(-reach, reach + 1)
     # A missing sample holds the one before it, within the window; one outside the window holds its end.
@@ -186,10 +190,7 @@ def _windows(measurements: Pair, half_width: Array, reach: int, degree: int) -> 
         kept = jnp.clip(kept, 0, count - 1)
         valid = there[rows] & inside
         at = time[jnp.clip(kept - centre + reach, 0, 2 * reach)]
-        a, p = (
-            win.means(at, side[kept], valid, jnp.zeros((), dt.dtype), degree=degree, plain=False) for side in sides
-        )  # fmt: skip
-        window = win.combine(a, p, degree)
+        window = win.read(at, value[kept], valid, jnp.zeros((), dt.dtype), degree=degree, plain=False)
         return window._replace(ready=window.ready & (centre >= half_width) & (centre + half_width < count))
 
     return jax.vmap(one)(jnp.arange(count))
@@ -266,6 +267,22 @@ def _normal(
     return jnp.sum(h, axis=0) + precision, jnp.sum(score, axis=0) + precision @ at, score
 
 
+def _bent(windows: win.Window, ready: Array, state: _Unknowns, spread: Array, weights: Any) -> Array:
+    """What the entries of four matrices, by which gyros and accelerometers are off, do to the gradient, (SIZE, 36)."""
+    dtype = ready.dtype
+    scale = jnp.concatenate([jnp.broadcast_to(weights[0], 3), jnp.broadcast_to(weights[1], 3)])
+
+    def one(window: win.Window, there: Array) -> Array:
+        def at(d: Array, off: Array) -> Array:
+            return jnp.concatenate(_residual(win.bent(window, off.reshape(4, 3, 3)), _moved(state, d), spread))
+
+        slope, by = jax.jacfwd(at, (0, 1))(jnp.zeros(SIZE, dtype), jnp.zeros(36, dtype))
+        found: Array = there * (slope.T @ (scale[:, None] * by))
+        return found
+
+    return jnp.sum(jax.vmap(one)(windows, ready), axis=0)
+
+
 def _precision(gyro: Array, acc: Array, dtype: Any) -> Array:
     """Precision (SIZE, SIZE) of the prior: b_A and b_P = R'(b_A - c) each have the gyros'."""
     eye, none = jnp.eye(3, dtype=dtype), jnp.zeros((3, 3), dtype)
@@ -275,7 +292,7 @@ def _precision(gyro: Array, acc: Array, dtype: Any) -> Array:
 
 
 def _read(
-    state: _Unknowns, h: Array, scores: Array, precision: Array, spread: Array, weights: Any, ready: Array,
+    state: _Unknowns, h: Array, scores: Array, precision: Array, bent: Array, weights: Any, ready: Array,
     block: Array, degree: int,
 ) -> Estimate:  # fmt: skip
     inverse = jnp.linalg.inv(h)
@@ -293,7 +310,8 @@ def _read(
     pose = slice(0, 6)
     # Fifteen variances from some dozens of blocks are too uncertain to be used one by one; their mean ratio is not.
     ratio = jnp.trace(jnp.linalg.solve(inverse[pose, pose], scattered[pose, pose])) / 6
-    covariance = inverse * jnp.maximum(ratio, 1)
+    bent = inverse @ bent
+    covariance = inverse * jnp.maximum(ratio, 1) + bent @ bent.T
     order = jnp.asarray([3, 4, 5, 0, 1, 2])
     r = quat.to_matrix(state.quaternion)
     return Estimate(

@@ -154,6 +154,6 @@ def test_bad_input():
     with pytest.raises(InputError, match="got 20 samples, expected at least 44, four windows"):
         onsite_batch.choose(short)
     wrong = jax.tree.map(lambda x: x[0], short)._replace(dt=np.zeros(2))
-    with pytest.raises(ValueError, match="IMU a: got shapes"):
+    with pytest.raises(ValueError, match="gyroscope_a: got shapes"):
         system.step(system.default_params, system.init(system.default_params), wrong)
     assert onsite.build() is onsite.build(half_width=7)

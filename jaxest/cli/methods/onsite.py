@@ -1,7 +1,7 @@
 """`--method onsite`: the pose of one IMU in another on an unknown link, or all links of a robot of joint modules."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from jaxest.io.report import Row
 from jaxest.types import InputError
 
 KINDS = ("gyroscope", "accelerometer")
+AXES = ("gyroscope_axes", "accelerometer_axes")
 KEPT = ("position", "orientation", "pose_covariance")
 
 
@@ -95,12 +96,13 @@ def _pair(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
 
     names, known = _names(log, settings), _calibrations(settings)
     a, p = (_imu(log, name, nan, known) for name in names)
-    usual = onsite_batch.Prior()._asdict()
-    prior = onsite_batch.Prior(**{key: _positive(settings, key, value) for key, value in usual.items()})
+    usual = onsite_batch.Prior()
+    prior = onsite_batch.Prior(*(_positive(settings, key, getattr(usual, key)) for key in usual._fields[:2]),
+                               *_axes(settings, names, known))  # fmt: skip
     found = onsite_recording.estimate(a, p, prior=prior, names=names, align_clocks=settings.get("clocks", True))
     one = found.estimate
     position, turn, covariance = (np.asarray(x, np.float64) for x in one[:3])
-    live = _live(found)
+    live = _live(found, prior)
     extra = {"of": names[1], "tangent": "rotation in the second IMU, then position in the first: rad, m"}
     streams = _streams("", found.time[-1:], position[None], turn[None], covariance[None], names[0], extra)
     streams |= _streams("live/", found.time, live[0], live[1], live[2], names[0], extra)
@@ -136,7 +138,21 @@ def _positive(settings: Mapping[str, Any], key: str, usual: Any) -> Any:
     return np.float64(value)
 
 
-def _live(found: Any) -> Any:
+def _axes(settings: Mapping[str, Any], names: Sequence[str], known: Mapping[str, Any]) -> list[Any]:
+    """What the gyros' and the accelerometers' axes may be off: the config's word, or the worst of the calibrations."""
+    from jaxest.calibration.imu import UNCALIBRATED
+
+    found = []
+    for key in AXES:
+        worst = max(getattr(known[name], key) if name in known else UNCALIBRATED for name in names)
+        value = float(settings.get(key, worst))
+        if not (value >= 0 and math.isfinite(value)):
+            raise InputError(f"[onsite] {key}: got {value}, expected a number of 0 or more, such as 0.01 for 1 %")
+        found.append(np.float64(value))
+    return found
+
+
+def _live(found: Any, prior: Any) -> Any:
     """Position (T, 3), quaternion (T, 4) and covariance (T, 6, 6) as known at each sample; NaN while they are not."""
     import jax
 
@@ -146,7 +162,8 @@ def _live(found: Any) -> Any:
     step = float(np.median(np.diff(found.time)))
     system = onsite.build(half_width=max(2, round(0.07 / step)))
     single = jax.tree.map(lambda x: x.astype(np.float32) if x.dtype.kind == "f" else x, found.measurements)
-    params = jax.tree.map(np.float32, system.default_params)
+    off = {key: getattr(prior, key) for key in AXES}
+    params = jax.tree.map(np.float32, system.default_params._replace(**off))
 
     def kept(state: Any, info: Any) -> Any:
         return info.position, info.quaternion, info.covariance, info.valid
@@ -206,7 +223,8 @@ def _robot(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
     limits = {"position_limit": float(settings.get("position_limit", 0.005)),
               "rotation_limit": math.radians(float(settings.get("rotation_limit_deg", 0.1)))}  # fmt: skip
     params = system.default_params._replace(bias=bias, **limits)
-    params = params._replace(pair=params.pair._replace(gyroscope_bias=0.3 if notes else 0.003))
+    axes = dict(zip(AXES, _axes(settings, [name for ends in described.imus for name in ends], known), strict=True))
+    params = params._replace(pair=params.pair._replace(gyroscope_bias=0.3 if notes else 0.003, **axes))
     params, samples = jax.tree.map(_single, (params, samples))
     info = jax.tree.map(np.asarray, run(system.step, params, system.init(params), samples)[1])
     final = jax.tree.map(lambda x: x[-1], info)
@@ -226,7 +244,7 @@ def _robot(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
         rows.append(Row("95 %, rotation", f"{name} in {parent}", math.degrees(float(final.spread[k, 0])), "deg"))
     if info.done.any():
         rows.append(Row("known to the limits after", "", float(time[int(np.argmax(info.done))] - time[0]), "s"))
-    refused = [] if info.done.any() else [_open(names, final, limits)]
+    refused = [] if info.done.any() else [_open(names, final, limits, axes[AXES[0]])]
 
     def draw(path: Path, title: str) -> None:
         from jaxest.viz import onsite as picture
@@ -246,14 +264,22 @@ def _single(x: Any) -> Any:
     return x.astype(np.float32) if x.dtype.kind == "f" else x
 
 
-def _open(names: list[str], final: Any, limits: Mapping[str, float]) -> str:
+def _open(names: list[str], final: Any, limits: Mapping[str, float], axes: float) -> str:
     worst = [
         f"{name} to {1e3 * float(s[1]):.1f} mm and {math.degrees(float(s[0])):.2f} deg"
         for name, s in zip(names, final.spread, strict=True)
     ]
+    # Turned evenly about all axes, a link's rotation is off about each by the entry's deviation.
+    least = 2 * math.sqrt(3) * axes
+    advice = "swing more joints, longer or harder"
+    if least > limits["rotation_limit"]:
+        advice = (
+            f"gyros whose axes are off by {100 * axes:.2g} % leave {math.degrees(least):.2f} deg however long they "
+            "swing: calibrate them (jaxest.calibration.tumble), or say gyroscope_axes in the config"
+        )
     return (
         f"known at 95 % {', '.join(worst)}; expected {1e3 * limits['position_limit']:g} mm and "
-        f"{math.degrees(limits['rotation_limit']):g} deg: swing more joints, longer or harder"
+        f"{math.degrees(limits['rotation_limit']):g} deg: {advice}"
     )
 
 

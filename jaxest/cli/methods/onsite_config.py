@@ -5,6 +5,8 @@
 first = "imu0"                        # its frame is kept; streams imu0/gyroscope and imu0/accelerometer
 second = "imu1"
 calibration = "imus.json"             # as jaxest.calibration.imu.save writes it
+gyroscope_axes = 0.01                 # what axes may be off in scale and direction; without it the calibration's word,
+accelerometer_axes = 0.01             # or 1 %
 clocks = true                         # look for an offset between the IMUs' clocks and take it off
 position = [-0.2, 0, 0]               # m, the truth, if it is known: errors are printed
 quaternion = [1, 0, 0, 0]
@@ -48,7 +50,8 @@ def schema() -> dict[str, Any]:
     """Return what may be in the config's table `[onsite]`, as `jaxest.io.config` takes it."""
     module = {"axis": list, "limits": list, "place": PLACE, "before": MOUNTING, "after": MOUNTING}
     words = dict.fromkeys(("first", "second", "calibration"), str)
-    numbers = dict.fromkeys(("gyroscope_bias", "accelerometer_bias", "position_limit", "rotation_limit_deg"), float)
+    names = ("gyroscope_bias", "accelerometer_bias", "gyroscope_axes", "accelerometer_axes")
+    numbers = dict.fromkeys((*names, "position_limit", "rotation_limit_deg"), float)
     return {**words, **numbers, **PLACE, "clocks": bool, "modules": {"*": module}, "tool": PLACE}
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest import kinematics
-from jaxest.calibration import imu_static
+from jaxest.calibration import imu, imu_static, tumble
 from jaxest.filters import run
 from jaxest.io.report import Row
 from jaxest.kinematics import modular
@@ -22,6 +22,7 @@ from jaxest.types import OK, InputError
 PAPER = {"assembly 1": 47.0, "assembly 2": 33.0}  # s of excitation
 SECONDS = 60.0  # of swinging that is recorded; the estimate stops by itself
 STEPS = 5120  # of the filter, padded, so that all assemblies share a program
+KINDS = ("gyroscope", "accelerometer")
 SITE = f"site:{modular.TOOL}"
 
 
@@ -115,7 +116,7 @@ def _follow(params: Any, samples: Any) -> Any:
 
 
 def measured(sticks: manipulator.Sticks, seed: int, seconds: float) -> tuple[NDArray[np.float64], onsite_chain.Info]:
-    """Swing the joints and follow the estimate.
+    """Calibrate the modules' IMUs on a plate, swing the joints and follow the estimate.
 
     Args:
         sticks: the manipulator.
@@ -126,15 +127,23 @@ def measured(sticks: manipulator.Sticks, seed: int, seconds: float) -> tuple[NDA
         Times since the swinging began (T,), s, and the estimates, NumPy leaves (T, ...).
     """
     recorded = manipulator.swing(sticks, seed, seconds=seconds)
-    links = [tuple(Imu(*(part[k][end] for part in recorded[:3])) for end in (0, 1)) for k in range(len(sticks.links))]
-    rests = [[imu_static.calibrate(*imu) for imu in link] for link in links]
+    blocks = [[tumble.calibrate(one, flatness=manipulator.FLATNESS) for one in link] for link in recorded.tumbled]
+    links = [
+        tuple(
+            Imu(recorded.time[k][e], *imu.apply(blocks[k][e], recorded.gyroscope[k][e], recorded.accelerometer[k][e]))
+            for e in (0, 1)
+        )
+        for k in range(len(sticks.links))
+    ]
+    rests = [[imu_static.calibrate(*one) for one in link] for link in links]
     time, samples = onsite_chain.samples(links)  # type: ignore[arg-type]
     begun = time >= manipulator.REST
     count = int(begun.sum())
     kept = jax.tree.map(lambda x: _padded(np.asarray(x)[begun]), samples)
     noise = np.sqrt(np.mean([np.trace(r.gyroscope_covariance) / 3 for link in rests for r in link]))
     params = _system().default_params
-    pair = params.pair._replace(gyroscope_noise=noise, gyroscope_bias=0.003)
+    axes = {f"{kind}_axes": max(getattr(c, f"{kind}_axes") for link in blocks for c in link) for kind in KINDS}
+    pair = params.pair._replace(gyroscope_noise=noise, gyroscope_bias=0.003, **axes)
     params = params._replace(pair=pair, bias=np.array([[r.gyroscope_bias for r in link] for link in rests]))
     params = jax.tree.map(lambda x: np.asarray(x, np.float32), params)
     info = jax.tree.map(lambda x: np.asarray(x)[:count], _follow(params, kept))
@@ -172,7 +181,7 @@ def once(seed: int, *, seconds: float = SECONDS) -> Reach:
     places = np.stack([link.translation for link in sticks.links])
     turns = np.stack([link.rotation for link in sticks.links])
     position = 1e3 * np.linalg.norm(final.position - places, axis=1)
-    rotation = 2 * np.rad2deg(np.arccos(np.minimum(np.abs(np.sum(final.quaternion * turns, axis=1)), 1)))
+    rotation = _angles(np.asarray(final.quaternion, float), turns)
     excitation = float(time[stop]) if info.done.any() else np.nan
     partial_reach = partial(
         Reach,
@@ -195,6 +204,13 @@ def once(seed: int, *, seconds: float = SECONDS) -> Reach:
     distance = 1e3 * float(np.linalg.norm(_tool(true, q) - target))
     dropped = manipulator.drop(sticks, q, box)
     return partial_reach(distance, 1e3 * float(np.linalg.norm(dropped.gripper - target)), dropped.inside)
+
+
+def _angles(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles in degrees between quaternions (n, 4), by their chord: an arc cosine loses half the digits near 1."""
+    one = one / np.linalg.norm(one, axis=1, keepdims=True)
+    apart = np.minimum(*(np.linalg.norm(one - sign * other, axis=1) for sign in (1, -1)))
+    return np.rad2deg(4 * np.arcsin(np.minimum(apart / 2, 1)))
 
 
 def _single(robot: kinematics.Robot) -> kinematics.Robot:
