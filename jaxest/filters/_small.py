@@ -58,11 +58,45 @@ def eigen4(a: Array) -> tuple[Array, Array]:
     """
     scale = jnp.max(jnp.abs(a))
     scaled = a / jnp.where(scale > 0, scale, 1)
-    upper = tuple(scaled[i, j] for i in range(4) for j in range(i, 4))
-    eye = tuple(jnp.eye(4, dtype=a.dtype)[i, j] + 0 * scaled[0, 0] for i in range(4) for j in range(4))
-    (upper, vectors), _ = jax.lax.scan(_turn, (upper, eye), None, length=3 * SWEEPS)
-    values = jnp.stack([upper[0], upper[4], upper[7], upper[9]])
-    return values * scale, jnp.stack(vectors).reshape(4, 4)
+    values, vectors = _jacobi(scaled)
+    return values * scale, vectors
+
+
+@jax.custom_batching.custom_vmap
+def _jacobi(a: Array) -> tuple[Array, Array]:
+    """Eigenvalues and vectors of one matrix; it is carried whole, for a kernel costs as much as many numbers do."""
+    zero = jnp.zeros((), a.dtype)
+
+    def body(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
+        a, vectors = carry
+        c, s, _ = _rotation(*(jnp.stack([a[i, j], a[i + 2, j + 2]]) for i, j in ((0, 0), (1, 1), (0, 1))))
+        turn = jnp.stack(
+            [c[0], zero, s[0], zero, -s[0], zero, c[0], zero, zero, s[1], zero, c[1], zero, c[1], zero, -s[1]]
+        ).reshape(4, 4)
+        return (product(turn.T, product(a, turn)), product(vectors, turn)), None
+
+    (a, vectors), _ = jax.lax.scan(body, (a, jnp.eye(4, dtype=a.dtype)), None, length=3 * SWEEPS)
+    return jnp.diagonal(a), vectors
+
+
+@_jacobi.def_vmap
+def _(size: int, batched: Any, a: Array) -> Any:
+    return jax.vmap(_jacobi_scalars)(a), (True, True)
+
+
+def _jacobi_scalars(a: Array) -> tuple[Array, Array]:
+    """The same for a batch: a scalar a component, so that the batch lies in a row."""
+    upper = tuple(a[i, j] for i in range(4) for j in range(i, 4))
+    eye = tuple(jnp.eye(4, dtype=a.dtype)[i, j] + 0 * a[0, 0] for i in range(4) for j in range(4))
+    (upper, vectors), _ = jax.lax.scan(_sweep, (upper, eye), None, length=SWEEPS)
+    return jnp.stack([upper[0], upper[4], upper[7], upper[9]]), jnp.stack(vectors).reshape(4, 4)
+
+
+def _sweep(carry: Any, _: None) -> tuple[Any, None]:
+    """Three turns, after which the indices have their order again: what is carried needs no copies."""
+    for _turned in range(3):
+        carry, _ = _turn(carry, None)
+    return carry, None
 
 
 def _turn(carry: Any, _: None) -> tuple[Any, None]:

@@ -51,6 +51,8 @@ class State(NamedTuple):
     """(3, 3) P^-1, without the prior."""
     projection: Array
     """(3,) Q."""
+    estimate: Array
+    """(3,) x, as the last step's info has it."""
     queue: Array
     """(N_lag, 3) residuals as they came, newest last."""
     block: Array
@@ -106,7 +108,7 @@ def init(params: Params, *, key: Array | None = None, lag: int = 100) -> State:
     information, projection, queue, block, blocks = (
         jnp.zeros(shape, dtype) for shape in ((3, 3), (3,), (lag, 3), (9,), (9, 9))
     )
-    return State(information, projection, queue, block, blocks, none > 0, none, none)
+    return State(information, projection, projection, queue, block, blocks, none > 0, none, none)
 
 
 Start = Callable[[Array, Array], tuple[Array, Array]]
@@ -174,8 +176,7 @@ def step(
     dtype = state.projection.dtype
     o, y, noisy, there, status = usable(measurement, dtype)
     gamma, prior, floor = (jnp.asarray(x, dtype) for x in params)
-    before = jnp.sum(_inverse(state, prior, _unit(state.queue, state.seen, floor)) * state.projection[None, :], axis=1)
-    residual = jnp.where(there, y - jnp.sum(o * before[None, :], axis=1), 0)
+    residual = jnp.where(there, y - jnp.sum(o * state.estimate[None, :], axis=1), 0)
     queue = jnp.where(there, jnp.concatenate([state.queue[1:], residual[None]]), state.queue)
     seen = state.seen + there.astype(jnp.int32)
     noise, unit = _noise(queue, seen, floor), _unit(queue, seen, floor)
@@ -191,10 +192,11 @@ def step(
     whole = there & (seen % block == 0)
     blocks = kept * kept * state.blocks + jnp.where(whole, outer(part, part), 0)
     state = State(
-        kept * state.information + gain, kept * state.projection + moved, queue,
+        kept * state.information + gain, kept * state.projection + moved, state.estimate, queue,
         jnp.where(whole, 0, part), blocks, pending, seen, state.index + 1,
     )  # fmt: skip
-    return state, _read(state, prior, unit, residual, noise, status, block)
+    info = _read(state, prior, unit, residual, noise, status, block)
+    return state._replace(estimate=info.estimate), info
 
 
 def _noise(queue: Array, seen: Array, floor: Array) -> Array:

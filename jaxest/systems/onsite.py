@@ -49,8 +49,8 @@ class State(NamedTuple):
     rotation: bingham_linear.State
     position: rls.State
     lever: Array
-    """(3, 12) sums of O'O, then of O_ki (R f_P)_l in row i and column 3 + 3 k + l: what errors of the rotation and of
-    the forces do to the position."""
+    """(3, 9) sum of O_ki (R f_P)_l in row i and column 3 k + l: what errors of the rotation and of the forces do to the
+    position."""
     gain: Array
     """() mean gain of the averages so far."""
     index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
@@ -130,7 +130,7 @@ def init(params: Params, *, key: Array | None = None, half_width: int = 7, lag: 
     window = sg.init(sg.Params(zero), half_width=half_width, channels=12)
     turn = bingham_linear.init(_turning(params, zero))
     place = rls.init(rls.Params(zero, zero, zero), lag=lag)
-    return State(window, turn, place, jnp.zeros((3, 12), dtype), zero, jnp.zeros((), jnp.int32))
+    return State(window, turn, place, jnp.zeros((3, 9), dtype), zero, jnp.zeros((), jnp.int32))
 
 
 def _turning(params: Params, zero: Array) -> bingham_linear.Params:
@@ -184,7 +184,7 @@ def step(
     lever = _lever(state, o, turned, known, forgetting)
     state = State(pushed, turn, position, lever, gain, state.index + 1)
     turning = _Turning(rotation, covariance, _askew(params, turn))
-    near, whole = _covariance(params, turning, place, lever, gain, noisy)
+    near, whole = _covariance(params, turning, place, state, noisy)
     info = Info(
         place.estimate, found.quaternion, whole, found.bias, place.residual, root(jnp.trace(place.noise) / 3),
         root(jnp.trace(spread) / 6), delay, place.valid & ready, near & place.valid, status,
@@ -239,8 +239,7 @@ def _rotation(
 
 def _lever(state: State, o: Array, force: Array, known: Array, forgetting: Array) -> Array:
     """Next sums; a step that does not count adds nothing and forgets nothing."""
-    products = (o.T[:, :, None] * force[None, None, :]).reshape(3, 9)
-    fresh = jnp.concatenate([product(o.T, o), products], axis=1)
+    fresh = (o.T[:, :, None] * force[None, None, :]).reshape(3, 9)
     return jnp.where(known, forgetting * state.lever + fresh, state.lever)
 
 
@@ -256,22 +255,26 @@ def _askew(params: Params, turn: bingham_linear.State) -> Array:
     """Covariance (3, 3) that gyros with crooked axes leave of the rotation.
 
     If R'w_A = w_P + D w_P with independent entries of D, the rotation turns by (tr S I - S)^-1 sum of w x D w, S the
-    rates' second moment: the covariance of that sum is tr(S^2) I - S^2 times the variance of an entry.
+    rates' second moment: the covariance of that sum is tr(S^2) I - S^2 times the variance of an entry. About an axis
+    that nothing turns about it is an entry's own, which both factors tend to with what is added to them.
     """
     s = turn.scatter[3:, 3:]
     s = s / jnp.where(turn.weight > 0, turn.weight, 1)
     eye = jnp.eye(3, dtype=s.dtype)
-    square = product(s, s)
-    back = inverse3(jnp.trace(s) * eye - s)
+    square, moved = product(s, s), jnp.trace(s) * eye - s
+    little = 3e-3 * jnp.trace(s)
+    back = inverse3(moved + little * eye)
+    spread = (jnp.trace(square) + little * little) * eye - square + 2 * little * moved
     entry = 2 * jnp.asarray(params.gyroscope_axes, s.dtype) ** 2  # of the difference of two
-    return entry * sandwich(back, jnp.trace(square) * eye - square)
+    return entry * sandwich(back, spread)
 
 
-def _covariance(
-    params: Params, turning: _Turning, place: rls.Info, lever: Array, gain: Array, noisy: Array
-) -> tuple[Array, Array]:
+def _covariance(params: Params, turning: _Turning, place: rls.Info, state: State, noisy: Array) -> tuple[Array, Array]:
     """Whether the pose is known to 5 mm and 0.1 deg, and its covariance (6, 6)."""
-    inverse, force = inverse3(lever[:, :3]), lever[:, 3:]
+    force, gain = state.lever, state.gain
+    total = jnp.trace(place.noise)
+    unit = jnp.where(total > 0, total, 1) / 3
+    inverse = place.formal / unit  # of the sum of O'O, less what noise adds to it
     # Sum of O'[R f_P x]; a turn d of P on the right moves R f_P by -[R f_P x] R d.
     crossed = jnp.stack([force[:, 5] - force[:, 7], force[:, 6] - force[:, 2], force[:, 1] - force[:, 3]], axis=1)
     moved = -product(inverse, product(crossed, turning.matrix))
@@ -279,11 +282,9 @@ def _covariance(
     # by how much the residuals' slow part exceeds that; their mean ratio is used, for single variances are uncertain.
     # The derivatives' noise is quick and leaves no such slow part: its share of the residuals does not count.
     quick = jnp.sum(noisy * place.estimate[:, None] * place.estimate[None, :])
-    total = jnp.trace(place.noise)
-    share = jnp.clip(1 - quick / jnp.where(total > 0, total, 1), 0.1, 1)
-    white = place.formal * (share / jnp.where(gain > 0, gain, 1))
-    ratio = jnp.sum(inverse3(white) * place.covariance) / 3
-    placed = white * jnp.maximum(ratio, 1)
+    share = jnp.clip(1 - quick / (3 * unit), 0.1, 1) / jnp.where(gain > 0, gain, 1)
+    ratio = jnp.sum(state.position.information * place.covariance) / (3 * unit * share)
+    placed = place.formal * (share * jnp.maximum(ratio, 1))
     # Each step used the rotation of its time, whose error then was larger: twice the variance of the last.
     turned = turning.noise + turning.askew
     cross = product(turned, moved.T)

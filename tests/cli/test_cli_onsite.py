@@ -14,6 +14,10 @@ from jaxest.systems import onsite
 from jaxest.types import InputError
 
 MODULES = """
+[onsite]
+gyroscope_axes = {off}
+accelerometer_axes = {off}
+
 [onsite.modules.joint0]
 axis = [0, 0, 1]
 place = {{ position = [0, 0, 0.25] }}
@@ -84,7 +88,7 @@ def test_a_robot_of_modules(invoke, tmp_path):
     modules = sticks.assembly.modules
     mountings = {side: [[float(x) for x in v] for v in pose]
                  for side, pose in (("after", modules[1].after), ("before", modules[2].before))}  # fmt: skip
-    (tmp_path / "c.toml").write_text(MODULES.format(**mountings))
+    (tmp_path / "c.toml").write_text(MODULES.format(off=0.0, **mountings))
     result = invoke("estimate", "log.npz", "-m", "onsite", "-c", "c.toml", "-o", "out", "--json")
     assert result.exit_code == 0, result.output
     found = read(tmp_path / "out" / "estimate.npz").streams
@@ -95,6 +99,12 @@ def test_a_robot_of_modules(invoke, tmp_path):
         place = kinematics.forward(robot, np.zeros(3), ["joint2_horn"]).position[0]
         np.testing.assert_allclose(place, np.add(sticks.links[0].translation, [0, 0, 0.31]), atol=2e-3)
 
+    # The same from gyros whose axes nobody knows better than to 1 %: the stop must not claim 0.1 deg.
+    (tmp_path / "c.toml").write_text(MODULES.format(off=0.01, **mountings))
+    result = invoke("estimate", "log.npz", "-m", "onsite", "-c", "c.toml", "-o", "loose")
+    assert result.exit_code == 3
+    assert "axes are off by 1 % leave 1.98 deg however long they swing" in " ".join(result.output.split())
+
 
 def test_configs_that_make_no_robot():
     plain = {"modules": {"a": {"axis": [0, 0]}}}
@@ -104,6 +114,13 @@ def test_configs_that_make_no_robot():
         onsite_config.modules({"modules": {"a": {"before": {"quaternion": [2, 0, 0, 0]}}}})
     with pytest.raises(InputError, match="every module has a `place`"):
         onsite_config.modules({"modules": {"a": {}}})
+
+
+def test_axes_that_cannot_be(refused, rod, tmp_path):
+    write(streams(rod[0]), tmp_path / "log.npz")
+    (tmp_path / "c.toml").write_text("[onsite]\ngyroscope_axes = -0.1\n")
+    message = refused("estimate", "log.npz", "-m", "onsite", "-c", "c.toml", "-o", "out")
+    assert "[onsite] gyroscope_axes: got -0.1, expected a number of 0 or more" in message.replace("\n", " ")
 
 
 def test_inspect_proposes_a_first_config(invoke, rod, tmp_path):

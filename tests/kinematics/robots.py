@@ -8,7 +8,7 @@ import numpy as np
 from jaxest import models
 
 # Baxter's arm is one more arm of seven hinges, and among the shared robots too.
-PACKAGED = [*(name for name in models.names() if name != "baxter_left_arm"), "chain7"]
+PACKAGED = [*(name for name in models.names() if name not in ("baxter_left_arm", "sticks")), "chain7"]
 SHARED = [
     "baxter.xml",
     "baxter_arm.urdf",

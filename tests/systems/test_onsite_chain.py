@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxest import kinematics
+from jaxest import kinematics, models
 from jaxest.filters import run
 from jaxest.kinematics import modular
 from jaxest.manifolds import quaternion as quat
@@ -95,6 +95,17 @@ def test_the_simulation_is_one_robot(swung):
     rest = recorded.time[0][0] < manipulator.REST - 0.1
     np.testing.assert_allclose(recorded.gyroscope[0][0][rest][-50:], 0, atol=1e-3)
     np.testing.assert_allclose(np.linalg.norm(recorded.accelerometer[1][1][rest][-50:], axis=1), 9.81, atol=0.01)
+
+
+def test_the_packaged_sticks_are_the_simulated_ones(swung):
+    """The file is one assembly as `manipulator` has it: every link and IMU where it was drawn."""
+    sticks, _ = swung
+    packaged = kinematics.load(models.path("sticks"))
+    own = kinematics.load(manipulator.model(sticks))
+    assert packaged.frame_names == own.frame_names
+    q = np.array([0.3, -0.4, 0.7, 0.2])
+    for one, other in zip(kinematics.forward(packaged, q), kinematics.forward(own, q), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-6)
 
 
 def test_lost_packets_and_bad_sensors():
