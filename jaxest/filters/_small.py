@@ -69,14 +69,14 @@ def _jacobi(a: Array) -> tuple[Array, Array]:
 
     def body(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
         a, vectors = carry
-        c, s, _ = _rotation(*(jnp.stack([a[i, j], a[i + 2, j + 2]]) for i, j in ((0, 0), (1, 1), (0, 1))))
+        c, s, _tangent = _rotation(*(jnp.stack([a[i, j], a[i + 2, j + 2]]) for i, j in ((0, 0), (1, 1), (0, 1))))
         turn = jnp.stack(
             [c[0], zero, s[0], zero, -s[0], zero, c[0], zero, zero, s[1], zero, c[1], zero, c[1], zero, -s[1]]
         ).reshape(4, 4)
         return (product(turn.T, product(a, turn)), product(vectors, turn)), None
 
-    (a, vectors), _ = jax.lax.scan(body, (a, jnp.eye(4, dtype=a.dtype)), None, length=3 * SWEEPS)
-    return jnp.diagonal(a), vectors
+    last, vectors = jax.lax.scan(body, (a, jnp.eye(4, dtype=a.dtype)), None, length=3 * SWEEPS)[0]
+    return jnp.diagonal(last), vectors
 
 
 @_jacobi.def_vmap
