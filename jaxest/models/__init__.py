@@ -2,8 +2,8 @@
 
 `path("arm")` is a light 4-joint arm that bends (Sato 2023, Fig. 7), `path("sticks")` a manipulator of joint modules and
 crooked sticks with its IMUs (Sato 2024, Fig. 7), `path("rover")` has every kind of joint, `path("gripper")` has two
-fingers with IMUs, `path("human_arm")` is a person's arm with four (Santaera 2015), and `chain(n)` writes a serial arm of
-n hinges for studies of size.
+fingers with IMUs, `path("human_arm")` is a person's arm with four (Santaera 2015), and `chain(n)` writes a serial arm
+of n hinges for studies of size.
 """
 
 from pathlib import Path
