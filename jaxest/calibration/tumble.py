@@ -79,7 +79,7 @@ def _accelerometer(
     """Matrix, bias and the standard deviation of the matrix' entries: felt = matrix^-1 true + bias."""
     design = np.hstack([true / gravity, np.ones((len(true), 1))])
     if len(true) < 4 or np.linalg.cond(design) > 100:
-        raise InputError("the faces that it rested on do not tell the accelerometer's axes: use all six")
+        raise InputError(f"tumble: {len(true)} faces do not tell the accelerometer's axes; expected rests on all six")
     found = np.linalg.lstsq(design, felt, rcond=None)[0]
     left = felt - design @ found
     variance = np.sum(left**2) / max(3 * len(felt) - 12, 1) / gravity**2
@@ -109,7 +109,9 @@ def _gyroscope(
         )  # fmt: skip
         slopes = np.concatenate([slope for _, slope in rows])
         if len(errors) < 9 or np.linalg.cond(slopes) > 100:
-            raise InputError("the turns do not tell the gyroscope's axes: turn about all three axes of the case")
+            raise InputError(
+                f"tumble: {len(errors) // 3} turns do not tell the gyroscope's axes; expected some about all three"
+            )
         matrix = matrix + np.linalg.lstsq(slopes, errors, rcond=None)[0].reshape(3, 3)
     variance = np.sum(errors**2) / max(len(errors) - 9, 1)
     # Both rests of a turn have an error.
