@@ -94,5 +94,5 @@ def test_too_few_faces():
     # All six faces, but hardly any turn about the case's z.
     turns = [np.eye(3)[k] for k in (0, 0, 0, 0, 1, 1, 1, 1)]
     part = imu.Readings(*(x[readings.time < 8 * period + turning.REST] for x in readings))
-    with pytest.raises(InputError, match="turn about all three axes of the case"):
+    with pytest.raises(InputError, match="8 turns do not tell the gyroscope's axes; expected some about all three"):
         tumble.calibrate(part, tumble.attitudes(turns))
