@@ -38,9 +38,11 @@ def test_orientation(peers, monkeypatch):
 
 
 def test_import():
-    (row,) = bench.rows("import", peers=False, small=True)
-    assert row.reference_name == "import jax"
-    assert row.value > 0
+    alone, over, whole, more = bench.rows("import", peers=False, small=True)
+    assert alone.reference_name == whole.reference_name == "import jax"
+    assert alone.value > 0
+    assert whole.value > 0
+    assert over.metric == more.metric == "over import jax"
 
 
 @pytest.mark.parametrize("peers", [True, False])

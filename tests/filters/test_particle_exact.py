@@ -241,11 +241,10 @@ def test_one_angle_is_the_quadrature(noise, walk, guided):
         density = reference.wrapped_normal(walk)
     params = LeverParams(jnp.float32(walk))
     densities, increments = lever_exact(params, density)
-    model = lever_model(transition, guided, defensive=0.2 if walk in (0.7, 2.0) else 0.02)
-    # What only the defensive share finds weighs a lot and scatters.
-    history = repeated(
-        model, params, flat_start, lever(np.float32), runs=RUNS * (3 if guided and walk in (0.7, 2.0) else 1)
-    )
+    # What only the defensive share finds weighs up to 1 / share^2 and scatters: a small share, as 0.02, is right on
+    # average, but not within so few runs where noise reaches both angles.
+    model = lever_model(transition, guided, defensive=0.02 if walk == 0.4 else 0.2)
+    history = repeated(model, params, flat_start, lever(np.float32), runs=RUNS * (3 if guided and walk != 0.4 else 1))
     assert np.all(np.asarray(history.status) == OK)
     assert_evidence(history, increments)
     # The posterior mean direction and its length, after the last step; only one mode is left there.
@@ -283,7 +282,9 @@ def test_interval_is_that_of_the_exact_posterior():
         particle.filter_step(model), params, particle.init(angles), lever(np.float32), key=jax.random.key(9)
     )
     found = particle.interval(circle, state.particles, state.log_weights, 0.95)
-    np.testing.assert_allclose(found.centre, history.mean[-1], atol=1e-5)
+    moment = np.sum(np.exp(np.asarray(state.log_weights, float) + 1j * np.asarray(state.particles, float)))
+    np.testing.assert_allclose(found.centre, np.angle(moment), atol=1e-5)
+    np.testing.assert_allclose(found.centre, history.mean[-1], atol=1e-3)  # which is corrected by what was foreseen
     for end, level in ((found.lower, 0.025), (found.upper, 0.975)):
         exact = reference.quantile(densities[-1], float(found.centre), level)
         step = 1e-3
