@@ -62,6 +62,7 @@ def test_live():
     assert grown.unit == "MiB"
 
 
+@pytest.mark.slow  # compiles for most of a minute; its loop is tested below
 def test_onsite():
     rows = list(bench.rows("onsite", small=True))
     assert [row.metric for row in rows] == ["live step", "compile", "batched step", "compile"]
