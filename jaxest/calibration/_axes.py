@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.calibration._axes_rates import across, tilted
+
 Matrix = NDArray[np.float64]
 HEADINGS = 72
 STARTS = 16
@@ -149,7 +151,7 @@ def refined(
 def _linear(paths: Paths, x: _Guess) -> tuple[Matrix, Matrix]:
     """Residuals (n, r) and slopes (n, r, p) by [first (2), second (2), heading, drift over the path, angle]."""
     rotation, turned = paths.rotation(x.heading, x.drift), paths.turned(x.heading, x.drift)
-    a, b = _across(x.first), _across(x.second)
+    a, b = across(x.first), across(x.second)
     share = (paths.time / paths.time[-1])[:, None, None]
     there, moving = rotation @ x.second, (turned @ x.second)[..., None]
     if x.angle is None:
@@ -169,10 +171,6 @@ def _gradient(residual: Matrix, slope: Matrix) -> tuple[Matrix, Matrix]:
 
 
 def _moved(paths: Paths, x: _Guess, step: Any) -> _Guess:
-    def tilted(axis: Matrix, by: Matrix) -> Matrix:
-        moved = axis + _across(axis) @ by
-        return moved / np.linalg.norm(moved)
-
     angle = None if x.angle is None else x.angle + float(step[6])
     return _Guess(tilted(x.first, step[:2]), tilted(x.second, step[2:4]), x.heading + float(step[4]),
                   x.drift + float(step[5]) / float(paths.time[-1]), angle)  # fmt: skip
@@ -189,10 +187,5 @@ def _covariance(paths: Paths, x: _Guess, residual: Matrix, slope: Matrix) -> Mat
     back = np.linalg.pinv(square, rcond=1e-10, hermitian=True)
     spread = back @ np.sum([np.outer(p, p) for p in pulls], axis=0) @ back
     onto = np.zeros((6, spread.shape[0]))
-    onto[:3, :2], onto[3:, 2:4] = _across(x.first), _across(x.second)
+    onto[:3, :2], onto[3:, 2:4] = across(x.first), across(x.second)
     return np.asarray(onto @ spread @ onto.T)
-
-
-def _across(axis: Matrix) -> Matrix:
-    """Two unit vectors across an axis, (3, 2)."""
-    return np.linalg.svd(axis[None])[2][1:].T

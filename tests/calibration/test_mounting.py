@@ -13,10 +13,10 @@ def waves(random, time, size):
     return size * np.sin(2 * np.pi * frequency * time[:, None, None] + phase).mean(axis=1)
 
 
-def paths(seed, two):
+def paths(seed, two, rate_hz=50, shift=0.0):
     """Exact orientations of two IMUs mounted any way, the second's heading turned and drifting; and the axes."""
     random = np.random.default_rng(seed)
-    time = np.arange(1000) / 50
+    time = np.arange(20 * rate_hz) / rate_hz + shift
     move = waves(random, time, 1.2)
     base = Rotation.from_euler("ZYX", move[:, :3])
     axes = np.array([[0, 1.0, 0], [1, 0, 0]])
@@ -49,6 +49,52 @@ def test_both_axes_of_a_joint_are_found(seed):
     assert abs(found.first @ truth[0]) > 1 - 1e-9
     assert abs(found.second @ truth[1]) > 1 - 1e-9
     assert abs(found.angle - np.pi / 2) < 1e-4
+
+
+def gyroscopes(seed, two):
+    """100 Hz: stamps, orientations some tenths of a degree off for seconds, rates with biases; and the axes."""
+    ends = [paths(seed, two, 100, shift) for shift in (-1e-4, 1e-4)]
+    time, *exact, truth = paths(seed, two, 100)
+    random = np.random.default_rng([seed, 1])
+    rates, wrong = [], []
+    for k in (0, 1):
+        first, second = (Rotation.from_quat(end[1 + k], scalar_first=True) for end in ends)
+        rates.append((first.inv() * second).as_rotvec() / 2e-4 + random.normal(0, 0.005, 3))
+        tilt = waves(random, time, 0.012)[:, :3] * [1, 1, 0]
+        path = Rotation.from_rotvec(tilt) * Rotation.from_quat(exact[k], scalar_first=True)
+        wrong.append(path.as_quat(scalar_first=True))
+    return time, wrong, tuple(rates), truth
+
+
+@pytest.mark.parametrize("two", [False, True], ids=["hinge", "two axes"])
+def test_rates_find_the_axes_in_spite_of_wrong_tilts_and_biases(two):
+    """Within 0.1 deg, and by at most three of the deviations that are told; by the tilts alone several times worse."""
+    search, ratios = (mounting.two_axis if two else mounting.hinge), []
+    for seed in range(3):
+        time, path, rates, truth = gyroscopes(seed, two)
+        errors = []
+        for given in (None, rates):
+            found = search(time, *path, rates=given)
+            axes = zip((found.first, found.second), truth, strict=True)
+            errors.append([float(np.arccos(min(abs(a @ b), 1))) for a, b in axes])
+        assert max(errors[1]) < np.deg2rad(0.1)
+        assert (np.array(errors[1]) < 3 * np.array(found.sigma)).all()
+        ratios.append(max(errors[0]) / max(errors[1]))
+    assert np.median(ratios) > 3
+
+
+def test_rates_that_cannot_be_used_are_named():
+    time, path, rates, _ = gyroscopes(0, two=False)
+    with pytest.raises(InputError, match=r"those of first are .* are they in rad/s"):
+        mounting.hinge(time, *path, rates=(np.rad2deg(rates[0]), rates[1]))
+    with pytest.raises(InputError, match=r"those of second are .* along the sensor's axes"):
+        mounting.hinge(time, *path, rates=(rates[0], rates[1][:, [1, 0, 2]]))
+    with pytest.raises(InputError, match="row 7 is not finite"):
+        mounting.hinge(time, *path, rates=(np.where(np.arange(2000)[:, None] == 7, np.nan, rates[0]), rates[1]))
+    with pytest.raises(InputError, match=r"a gap of 1 s after 9\.99 s, rates cannot be integrated"):
+        mounting.hinge(time + 0.99 * (time > 9.995), *path, rates=rates)
+    with pytest.raises(InputError, match=r"rates: got shapes \(3,\), \(3,\)"):
+        mounting.hinge(time, *path, rates=([0, 0, 0], [0, 0, 0]))
 
 
 def test_a_joint_that_rests_shows_no_axis():

@@ -30,12 +30,15 @@ def calibration(choice: Choice, say: Say) -> Section:
             say(f"calibration: {name}, mounting {begin + 1} of {count}")
             keys = jax.random.split(jax.random.key(choice.seed + begin + 50000 * two), min(BATCH, count - begin))
             errors += _errors(two, keys)
-        worst = np.max(errors, axis=1)
+        *both, foreseen = np.transpose(errors)
+        worst = np.max(both, axis=0)
         rows += [
-            Row("error of an axis, mean", name, float(np.mean(errors)), "deg", float(np.std(errors)), count),
+            Row("error of an axis, mean", name, float(np.mean(both)), "deg", float(np.std(both)), count),
             Row("error of an axis, largest", name, float(worst.max()), "deg", n=count),
             Row("mountings with both axes within 1 deg", name, 100 * float(np.mean(worst < 1)), "%", n=count),
-        ]
+            Row("squared error over its variance", name, float(foreseen.mean()), "1", float(foreseen.std()), count, 1.0,
+                "an honest covariance"),
+        ]  # fmt: skip
     return Section("calibration", "joint axes from 20 s of motion, random mountings", rows)
 
 
@@ -50,7 +53,7 @@ def joint(two: bool) -> str:
       </body></worldbody></mujoco>"""
 
 
-def _errors(two: bool, keys: Any) -> list[tuple[float, float]]:
+def _errors(two: bool, keys: Any) -> list[tuple[float, float, float]]:
     robot = kinematics.load(joint(two))
 
     def draw(key: Any) -> Any:
@@ -65,17 +68,28 @@ def _errors(two: bool, keys: Any) -> list[tuple[float, float]]:
 
     mounted, measurements = jax.jit(jax.vmap(draw))(keys)
     paths = np.asarray(_smoothed(measurements))
-    time = np.arange(paths.shape[2]) / RATE_HZ
+    time, rate = np.arange(paths.shape[2]) / RATE_HZ, np.asarray(measurements.gyroscope.value, np.float64)
     found = []
     for k in range(len(paths)):
-        solved = (mounting.two_axis if two else mounting.hinge)(time, paths[k, 0], paths[k, 1])
+        rates = rate[k, :, 0], rate[k, :, 1]
+        solved = (mounting.two_axis if two else mounting.hinge)(time, paths[k, 0], paths[k, 1], rates=rates)
         truth = [np.asarray(quat.rotate(quat.inverse(mounted[k, i]), jnp.asarray(axis, jnp.float32)), float)
                  for i, axis in enumerate((FIRST, SECOND if two else FIRST))]  # fmt: skip
-        pair = [_between(a, b) for a, b in zip((solved.first, solved.second), truth, strict=True)]
-        if not two and (solved.first @ truth[0]) * (solved.second @ truth[1]) < 0:
-            pair[1] = 180 - pair[1]  # the two must be of one sign
-        found.append((pair[0], pair[1]))
+        found.append(_compared(solved, truth, two))
     return found
+
+
+def _compared(solved: mounting.Axes, truth: list[Any], two: bool) -> tuple[float, float, float]:
+    """Errors of both axes in degrees, and the mean of their squared errors over what their covariances foresee."""
+    first = np.sign(solved.first @ truth[0])
+    signs = first, np.sign(solved.second @ truth[1]) if two else first  # a hinge's two must be of one sign
+    errors, sizes = [], []
+    for k, (axis, true, sign) in enumerate(zip((solved.first, solved.second), truth, signs, strict=True)):
+        errors.append(float(np.rad2deg(np.arccos(np.clip(sign * axis @ true, -1, 1)))))
+        spread = np.linalg.pinv(solved.covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3], rcond=1e-6, hermitian=True)
+        off = axis - sign * true
+        sizes.append(float(off @ spread @ off) / 2)
+    return errors[0], errors[1], sum(sizes) / 2
 
 
 @jax.jit
@@ -89,10 +103,6 @@ def _smoothed(measurements: Any) -> Any:
     flat = measurements._replace(magnetometer=None)
     axes = type(flat)(type(flat.gyroscope)(1, 1), type(flat.gyroscope)(1, 1), None, None)
     return jax.vmap(jax.vmap(one, (axes,)))(flat)
-
-
-def _between(a: Any, b: Any) -> float:
-    return float(np.rad2deg(np.arccos(np.clip(abs(a @ b), 0, 1))))
 
 
 __all__ = ["calibration", "joint"]
