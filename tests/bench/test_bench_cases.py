@@ -26,7 +26,7 @@ def test_orientation(peers, monkeypatch):
     rows = list(bench.rows("orientation", peers=peers != "unwanted", progress=heard.append, small=True))
     assert heard
     metrics = [row.metric for row in rows]
-    assert metrics == ["live step", "compile"] * 5 + ["batched step", "compile"] * 4
+    assert metrics == ["live step", "compile"] * 2 + ["batched step", "compile"] * 3
     assert all(row.value > 0 for row in rows)
     timed = [row for row in rows if row.metric != "compile"]
     if peers == "installed":
