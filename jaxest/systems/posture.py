@@ -4,7 +4,8 @@ Each IMU's orientation comes from an attitude filter of its own; the joint coord
 them best, on the robot's manifold, anew at every sample. Without a magnetometer the heading of each IMU is its own.
 These headings are estimated as slowly drifting states beside the joints: where the joints leave no room for a
 difference of headings (hinges that are not vertical, see Laidig et al. 2019) it becomes known, and where they do, what
-was learned before still holds for as long as the gyroscopes are good for. What cannot be known is reported so: `known`
+was learned before still holds for as long as the gyroscopes are good for; hinges that together turn any way (a
+shoulder) say nothing of headings, whatever they seem to say at one moment. What cannot be known is reported so: `known`
 near 0 and the variance of half a turn, as for the yaw of the root.
 
 Source: Santaera 2015, sections III and IV, with links' orientations in place of pairs (pairs: `jaxest.filters.pair`).
@@ -25,7 +26,8 @@ from jaxest.kinematics.movement import coupled, moved, movers, room, spread
 from jaxest.kinematics.orientations import REACH, UNKNOWN, errors, rotations
 from jaxest.manifolds import quaternion as quat
 from jaxest.systems import orientation
-from jaxest.systems._posture_fusion import fuse
+from jaxest.systems._posture_fusion import Prior, fuse
+from jaxest.systems._posture_links import Loose, loose, turned_any_way
 from jaxest.systems._posture_simulation import Truth, simulate
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, InputError, PyTree, System
 
@@ -64,6 +66,8 @@ class State(NamedTuple):
     """(n,) rad, by how much each IMU's orientation is turned about the vertical."""
     heading_covariance: Array
     """(n, n) rad^2"""
+    heading_doubt: Array
+    """(n, n) rad^2, the same without what hinges that turn any way seem to say at one moment."""
     heading_variance: Array
     """(n,) rad^2, of the attitude filters' own headings at this sample; what they gain the covariance gains."""
     begun: Array
@@ -136,7 +140,7 @@ def build(
     return System(
         params,
         partial(init, inner, len(names)),
-        partial(step, robot, names, inner, magnetic, iterations),
+        partial(step, robot, names, loose(robot, names), inner, magnetic, iterations),
         partial(simulate, robot, names, magnetic),
     )
 
@@ -152,6 +156,7 @@ def init(inner: System, count: int, params: Params, *, key: Array | None = None)
         jnp.asarray(params.start, dtype),
         zero,
         jnp.zeros((count, count), dtype),
+        jnp.zeros((count, count), dtype),
         zero,
         jnp.zeros(count, bool),
         jnp.zeros((), jnp.int32),
@@ -161,6 +166,7 @@ def init(inner: System, count: int, params: Params, *, key: Array | None = None)
 def step(
     robot: Robot,
     names: tuple[str, ...],
+    free: Loose,
     inner: System,
     magnetic: bool,
     iterations: int,
@@ -181,18 +187,20 @@ def step(
     state, noise = _headings(robot, names, magnetic, params, state, raw, earth, infos.valid)
     now = jnp.where(jnp.isfinite(measurement.dt), measurement.dt, 0)
     share = jnp.clip(now / (2 * jnp.asarray(params.memory, dtype)), 0, 1)
-    state, fused, residual, moving = _solved(robot, names, params, state, raw, noise, share, iterations)
+    state, fused, residual, moving = _solved(robot, names, free, params, state, raw, noise, share, iterations)
     across = spread(robot, moving, state.q)
     prior = jnp.asarray(params.prior, dtype)
-    free = jnp.where(jnp.any(across != 0, axis=1), 0, prior)
-    covariance = across @ fused.covariance @ across.T + jnp.diag(free)
+    still = jnp.where(jnp.any(across != 0, axis=1), 0, prior)
+    still = still + turned_any_way(free, state.heading_doubt)
+    covariance = across @ fused.covariance @ across.T + jnp.diag(still)
     before = jnp.sum(across * across, axis=1) * prior
     known = jnp.where(before > 0, 1 - jnp.diagonal(covariance) / jnp.where(before > 0, before, 1), 0)
+    known = jnp.maximum(known, 0)
     corrected = jax.vmap(lambda h, q: quat.compose(_about_up(-h), q))(state.heading, infos.quaternion)
     finite = jnp.isfinite(jnp.sum(covariance)) & jnp.isfinite(jnp.sum(state.q))
     status = jnp.maximum(jnp.max(infos.status), jnp.where(finite, OK, NOT_CONVERGED)).astype(jnp.int32)
     status = jnp.where(jnp.any(infos.status == NON_FINITE), NON_FINITE, status)
-    deviation = jnp.sqrt(jnp.maximum(jnp.diagonal(state.heading_covariance), 0) + jnp.finfo(dtype).tiny)
+    deviation = jnp.sqrt(jnp.maximum(jnp.diagonal(state.heading_doubt), 0) + jnp.finfo(dtype).tiny)
     info = Info(state.q, covariance, known, corrected, state.heading, deviation, residual, jnp.all(infos.valid), status)
     return state._replace(filters=filters, index=state.index + 1), info
 
@@ -211,9 +219,11 @@ def _headings(
     turn = jax.vmap(lambda r, m: 2 * jnp.arctan2(*_twist(quat.compose(r, quat.inverse(m)))))(raw, model)
     first = jnp.broadcast_to(jnp.asarray(params.initial_heading, dtype) ** 2, (count,))
     grown = jnp.where(state.begun, jnp.maximum(variance - state.heading_variance, 0), 0)
+    more = jnp.diag(grown + jnp.where(new, first, 0))
     moved = state._replace(
         heading=jnp.where(new, turn, state.heading),
-        heading_covariance=state.heading_covariance + jnp.diag(grown + jnp.where(new, first, 0)),
+        heading_covariance=state.heading_covariance + more,
+        heading_doubt=state.heading_doubt + more,
         heading_variance=variance,
         begun=state.begun | valid,
     )
@@ -225,30 +235,39 @@ def _headings(
 
 
 def _solved(
-    robot: Robot, names: Any, params: Params, state: State, raw: Array, noise: Array, share: Array, iterations: int
+    robot: Robot,
+    names: Any,
+    free: Loose,
+    params: Params,
+    state: State,
+    raw: Array,
+    noise: Array,
+    share: Array,
+    iterations: int,
 ) -> tuple[State, Any, Array, tuple[int, ...]]:
     """Move joints and headings to where the orientations want them; headings in the last iteration only."""
     moving = movers(robot.topology, names)
-    prior = jnp.asarray(params.prior, state.q.dtype)
+    prior, groups = (jnp.asarray(x, state.q.dtype) for x in (params.prior, free.carried))
 
     def once(carry: Any, share: Array) -> Any:
-        q, heading, gone, covariance = carry
+        q, heading, before = carry
         seen = jax.vmap(lambda h, r: quat.compose(_about_up(-h), r))(heading, raw)
         error, slope = errors(robot, q, names, None, seen)
         across = spread(robot, moving, q)
-        fused = fuse(slope @ across, noise, error, covariance, prior, gone, share)
+        fused = fuse(slope @ across, noise, error, before, share, groups)
         move = jnp.clip(fused.move, *_room(robot, moving, q))
         q = coupled(robot, moved(robot, q, across @ move))
-        return (q, heading + fused.heading_move, gone + move, fused.heading_covariance), (fused, error)
+        after = Prior(fused.heading_covariance, fused.heading_doubt, prior, before.gone + move)
+        return (q, heading + fused.heading_move, after), fused
 
     shares = jnp.concatenate([jnp.zeros(iterations - 1, share.dtype), share[None]])
     size = spread(robot, moving, state.q).shape[1]
-    carry = state.q, state.heading, jnp.zeros(size, state.q.dtype), state.heading_covariance
-    (q, heading, _, covariance), (fused, _) = jax.lax.scan(once, carry, shares)
+    before = Prior(state.heading_covariance, state.heading_doubt, prior, jnp.zeros(size, state.q.dtype))
+    (q, heading, after), fused = jax.lax.scan(once, (state.q, state.heading, before), shares)
     seen = jax.vmap(lambda h, r: quat.compose(_about_up(-h), r))(heading, raw)
     residual, _ = errors(robot, q, names, None, seen)
-    after = state._replace(q=q, heading=heading, heading_covariance=covariance)
-    return after, jax.tree.map(lambda x: x[-1], fused), residual, moving
+    state = state._replace(q=q, heading=heading, heading_covariance=after.heading, heading_doubt=after.doubt)
+    return state, jax.tree.map(lambda x: x[-1], fused), residual, moving
 
 
 def _room(robot: Robot, moving: tuple[int, ...], q: Array) -> tuple[Array, Array]:
