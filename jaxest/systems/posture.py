@@ -84,7 +84,7 @@ class Info(NamedTuple):
     covariance: Array
     """(nv, nv) of their errors in velocity coordinates."""
     known: Array
-    """(nv,) share of the prior's variance that the sensors took away; far below 1: not observed."""
+    """(nv,) 1 less the share of the prior's variance that sensors and headings leave; far below 1: not observed."""
     quaternion: Array
     """(n, 4) wxyz, each IMU to earth, its heading corrected."""
     heading: Array
@@ -194,8 +194,9 @@ def step(
     still = still + turned_any_way(free, state.heading_doubt)
     covariance = across @ fused.covariance @ across.T + jnp.diag(still)
     before = jnp.sum(across * across, axis=1) * prior
-    known = jnp.where(before > 0, 1 - jnp.diagonal(covariance) / jnp.where(before > 0, before, 1), 0)
-    known = jnp.maximum(known, 0)
+    variance = jnp.diagonal(covariance)
+    rest = before - variance  # an unknown heading and the prior are both in it: 1 / (1 / variance - 1 / before) is told
+    known = jnp.where(rest > variance, 1 - variance / jnp.where(rest > variance, rest, 1), 0)
     corrected = jax.vmap(lambda h, q: quat.compose(_about_up(-h), q))(state.heading, infos.quaternion)
     finite = jnp.isfinite(jnp.sum(covariance)) & jnp.isfinite(jnp.sum(state.q))
     status = jnp.maximum(jnp.max(infos.status), jnp.where(finite, OK, NOT_CONVERGED)).astype(jnp.int32)

@@ -1,5 +1,6 @@
-"""`jaxest estimate --method posture`: what may be wrong with a config for a person's arm."""
+"""`jaxest estimate --method posture`: a person's arm and a hand from logs, and what may be wrong with a config."""
 
+import json
 import re
 
 import jax
@@ -7,29 +8,71 @@ import numpy as np
 import pytest
 
 from jaxest import kinematics, models
-from jaxest.io import SensorLog, Stream, write
+from jaxest.io import SensorLog, Stream, read, write
+from jaxest.simulate import grasp
 from jaxest.systems import posture
 
 SITES = ("imu_trunk", "imu_upper_arm", "imu_forearm", "imu_hand")
 HZ, STEPS = 40.0, 200
 
 
-@pytest.fixture(scope="module")
-def arm():
-    """A log of an arm that moves for 10 s, with its joints, and the robot."""
-    robot = kinematics.load(models.path("human_arm"))
-    system = posture.build(robot, [f"site:{name}" for name in SITES], magnetic=True)
+def logged(robot, sites, key):
+    """A log of a robot that moves, with its hinges, and these names."""
+    system = posture.build(robot, [f"site:{name}" for name in sites], magnetic=True)
     params = jax.tree.map(np.float32, system.default_params)
-    measurements, truth = system.simulate(params, key=jax.random.key(4), steps=STEPS, rate_hz=HZ)
+    draw = jax.jit(lambda key: system.simulate(params, key=key, steps=STEPS, rate_hz=HZ))
+    measurements, truth = draw(jax.random.key(key))
     time = np.arange(STEPS) / HZ
     streams = {}
     units = {"gyroscope": "rad/s", "accelerometer": "m/s2", "magnetometer": "T"}
     for kind, unit in units.items():
         value = np.asarray(getattr(measurements, kind).value, float)
-        streams |= {f"{name}/{kind}": Stream(time, value[:, k], unit) for k, name in enumerate(SITES)}
+        streams |= {f"{name}/{kind}": Stream(time, value[:, k], unit) for k, name in enumerate(sites)}
     names = robot.joint_names[1:]
     streams["joints"] = Stream(time, np.asarray(truth.q, float)[:, 4:], "rad", names=names)
     return SensorLog(streams), names
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return logged(kinematics.load(models.path("human_arm")), SITES, 4)
+
+
+def followed(invoke, log, names, model, tmp_path, config=""):
+    """Run the command on a log; errors in degrees by joint, those of the last two thirds, and in deviations."""
+    write(log, tmp_path / "log.npz")
+    (tmp_path / "c.toml").write_text("[posture]\nmagnetometer = true\n" + config)
+    words = ("estimate", "log.npz", "-m", "posture", "--robot", models.path(model), "-c", "c.toml", "-o", "out")
+    said = invoke(*words, "--json")
+    assert said.exit_code == 0, said.output
+    found = read(tmp_path / "out" / "estimate.npz").streams
+    assert tuple(found["joints"].names) == names
+    error = np.asarray(found["joints"].value) - np.asarray(log.streams["joints"].value)
+    spread = np.sqrt(np.diagonal(np.asarray(found["joints_covariance"].value), axis1=1, axis2=2))
+    told = {row["condition"]: row["value"] for row in json.loads(said.stdout)["rows"] if "RMS" in row["metric"]}
+    for name, size in zip(names, np.sqrt(np.mean(error**2, axis=0)), strict=True):
+        assert told[name] == pytest.approx(np.rad2deg(size), rel=0.05)
+    late = slice(STEPS // 3, None)
+    return np.sqrt(np.mean(np.rad2deg(error[late]) ** 2, axis=0)), np.abs(error[late] / spread[late]).max(), said
+
+
+def test_an_arm_is_followed(invoke, arm, tmp_path):
+    """From nothing, in 5 s. Where two of the three hinges of a shoulder turn alike, both are hardly known."""
+    size, sigmas, _ = followed(invoke, *arm, "human_arm", tmp_path)
+    assert size[3:].max() < 2
+    assert size[:3].max() < 10
+    assert sigmas < 4
+
+
+@pytest.mark.slow
+def test_a_hand_is_followed(invoke, tmp_path):
+    """The gripper: two fingers of three joints each with a coupled one, seven IMUs."""
+    sites = tuple(name.removeprefix("site:") for name in grasp.SITES)
+    robot = kinematics.load(models.path("gripper"))
+    size, sigmas, said = followed(invoke, *logged(robot, sites, 5), "gripper", tmp_path)
+    assert size.max() < 1
+    assert sigmas < 4
+    assert "not observed" not in said.output
 
 
 @pytest.mark.parametrize(
