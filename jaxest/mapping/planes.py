@@ -6,6 +6,8 @@ import jax.numpy as jnp
 
 from jaxest.types import Array
 
+FLAT = 1e-9  # m, as thin as a plane can be
+
 
 class Planes(NamedTuple):
     """Planes through neighbours."""
@@ -49,9 +51,9 @@ def fit(points: tuple[Array, Array, Array], there: Array, *, least: int = 3, lin
     a = (mean(dx * dx), mean(dx * dy), mean(dx * dz), mean(dy * dy), mean(dy * dz), mean(dz * dz))
     low, middle = eigenvalues(a)
     normal = eigenvector(a, low)
-    low, middle = jnp.maximum(low, 0), jnp.maximum(middle, 0)
-    # The root of an exact 0 has no derivative.
-    thickness, spread = (jnp.where(v > 0, jnp.sqrt(jnp.where(v > 0, v, 1)), 0) for v in (low, middle))
+    # The root of an exact 0 has no derivative. A floor, for `where` would ask twice for the sign of what is left of
+    # rounding, and XLA, which may compute it twice, may answer twice.
+    thickness, spread = (jnp.sqrt(jnp.maximum(v, FLAT**2)) for v in (low, middle))
     return Planes(jnp.stack(center, -1), normal, thickness, spread, (count >= least) & (spread > line))
 
 

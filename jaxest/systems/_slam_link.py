@@ -17,6 +17,7 @@ from jaxest.types import Array
 
 TRIALS = np.linspace(-2.5, 2.5, 21)  # deviations of a bias at which a link is tried
 DOUBT = 0.05  # rad or m: a bias known worse is tried
+ALIKE = 1e-4  # share by which one start must fit better than another
 STEP = 5e-3  # m or rad: planes are looked for again when a link has moved by more
 BEND = 1e-3  # rad or m: the map is bent at once when a bias has changed by more, and at the end of the step anyway
 REACH = 1.0  # m, at which a rotation counts as a motion
@@ -163,7 +164,8 @@ def _register(
         needed = jnp.where(trial, unknown, (count == 0) | (size(fit.correction - last) > STEP))
         new = jax.lax.cond(needed, lambda: once(start, jnp.where(trial, part, turn)), lambda: fit)
         total = jnp.where(part == 0, 0, total) + new.misfit
-        better = trial & needed & (part == parts - 1) & (total < least)
+        # Of starts that fit alike the first counts: what is left of a sum's rounding must not choose.
+        better = trial & needed & (part == parts - 1) & (total < (1 - ALIKE) * least)
         found = (jnp.where(better, total, least), jnp.where(better, start, best), total)
         worked = needed & ~trial
         return (new, jnp.where(worked, start, last), found, count + worked.astype(jnp.int32)), None

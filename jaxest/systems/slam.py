@@ -273,7 +273,7 @@ def _predict(
     slope = slope.at[:3, 3:6].set(-product(rotation, skew))
     slope = slope.at[3:6, 3:6].set(quaternion.to_matrix(quaternion.exp(turn)).T)
     covariance = symmetric(product(product(slope, covariance), slope.T))
-    covariance = covariance + jnp.diag(jnp.concatenate([far * jnp.ones(3), wide * jnp.ones(3), grown]))
+    covariance = covariance + jnp.diag(jnp.concatenate([jnp.broadcast_to(far, 3), jnp.broadcast_to(wide, 3), grown]))
     return mean._replace(
         position=mean.position + step, quaternion=quaternion.retract(mean.quaternion, turn)
     ), covariance
@@ -311,7 +311,7 @@ def _info(
         s.inliers,
         s.matched,
         s.seen,
-        jnp.linalg.eigvalsh(s.pose)[:, 0],
+        jnp.maximum(jnp.linalg.eigvalsh(s.pose)[:, 0], 0),
         seen.explained / used,
         link,
         carry.chart.used,
