@@ -31,12 +31,17 @@ def outer(a: Array, b: Array) -> Array:
     return a[:, None] * b[None, :]
 
 
+def trace(a: Array) -> Array:
+    """Return the trace () of a (3, 3)."""
+    return a[0, 0] + a[1, 1] + a[2, 2]
+
+
 def inverse3(a: Array) -> Array:
     """Return the inverse of a symmetric positive definite (3, 3) by cofactors; zeros where it is singular.
 
     The matrix is scaled to a unit diagonal first, so that axes of very different variance keep their digits.
     """
-    diagonal = jnp.diagonal(a)
+    diagonal = jnp.stack([a[0, 0], a[1, 1], a[2, 2]])
     some = diagonal > 0
     scale = jnp.where(some, 1 / jnp.sqrt(jnp.where(some, diagonal, 1)), 0)
     x, y, z = a * scale[:, None] * scale[None, :]
@@ -147,4 +152,4 @@ def largest(values: Array, vectors: Array) -> Array:
     return jnp.where(found[0] < 0, -found, found)
 
 
-__all__ = ["eigen4", "inverse3", "largest", "outer", "product", "sandwich", "written_out"]
+__all__ = ["eigen4", "inverse3", "largest", "outer", "product", "sandwich", "trace", "written_out"]

@@ -80,6 +80,8 @@ class Info(NamedTuple):
     """(3,) y - O x with the estimate before; 0 where there is nothing."""
     noise: Array
     """(3, 3) C, covariance of the residuals over N_lag."""
+    variance: Array
+    """() mean variance of the residuals over N_lag: a third of the trace of `noise`."""
     valid: Array
     """() bool, whether every unknown is determined."""
     status: Array
@@ -233,7 +235,7 @@ def _read(
     scale = (count / jnp.maximum(count - 1, 1)).astype(noise.dtype)
     covariance = product(product(scaled, meat * scale), scaled)
     covariance = jnp.where(count >= 8, (covariance + covariance.T) / 2, formal)
-    return Info(estimate, covariance, formal, residual, noise, jnp.trace(formal) > 0, status)
+    return Info(estimate, covariance, formal, residual, noise, unit, jnp.trace(formal) > 0, status)
 
 
 def _rows(x: Array) -> Array:

@@ -35,44 +35,86 @@ class Window(NamedTuple):
     a: Means
     p: Means
     gain: Array
-    """() variance of an average over that of a sample's white noise."""
+    """() variance of an average over that of a sample's white noise, the mean of both IMUs'."""
     steep: Array
     """() 1/s^2, likewise for the derivative."""
+    density: Array
+    """() how many samples of each IMU the window has for each of its steps, at most 1."""
     ready: Array
-    """() bool, whether it has more samples of both IMUs than the degree."""
+    """() bool, whether it has more samples than the degree of either IMU, on both sides of the query."""
 
 
-def read(time: Array, value: Array, valid: Array, query: Array, *, degree: int, plain: bool) -> Window:
-    """Average both IMUs over one window, with the same weights, so that no response of the filter is left between them.
+class Kernel(NamedTuple):
+    """What the samples of a window count for."""
+
+    mean: Array
+    """(W,) in an average."""
+    derivative: Array
+    """(W,) 1/s, in the rate's derivative."""
+    gain: Array
+    """() variance of an average over that of a sample's white noise."""
+    density: Array
+    """() samples for each step of the window."""
+    ready: Array
+    """() bool, as in `Window`, of one IMU."""
+
+
+def kernel(time: Array, valid: Array, query: Array, *, degree: int, plain: bool) -> Kernel:
+    """Return the weights of one IMU's window.
+
+    Whatever the stamps, those of a degree M differentiate polynomials of degree M exactly, and average those of degree
+    M - 1: two IMUs whose samples come at different times, or of which one lost some, are averaged alike but for the
+    motion's M-th derivative.
 
     Args:
         time: (W,) s, as `savitzky_golay.averaging` wants it.
-        value: (W, 12) rates of A and of P, then their specific forces; where missing, those of the sample before.
-        valid: (W,) bool, whether both IMUs' samples are there.
-        query: () s, the time of the fit.
+        valid: (W,) bool, whether the IMU's sample is there.
+        query: () s, the time of the fit, the same for both IMUs.
         degree: of the polynomial, static.
         plain: static, evaluate the fits at the query as the paper does instead of averaging.
 
     Returns:
-        The averages.
+        The weights.
     """
     fit = sg.weights(time, valid, query, degree=degree)
-    w = fit.value if plain else sg.averaging(time, fit.derivative)
-    rates = value[:, :6]
-    shifted = jnp.roll(rates.reshape(-1, 2, 3), -1, axis=2).reshape(-1, 6)
-    pairs = jnp.concatenate([value, rates * rates, rates * shifted], axis=1)
-    sums = product(jnp.stack([w, fit.derivative]), pairs)
-    a, p = (_means(sums, 3 * side, plain) for side in (0, 1))
-    return Window(a, p, jnp.sum(w * w), jnp.sum(fit.derivative**2), fit.samples > degree)
+    mean = fit.value if plain else sg.averaging(time, fit.derivative)
+    count = fit.samples.astype(time.dtype)
+    # A missing sample repeats the one before it, and its noise: their weights count together.
+    gain = jnp.sum(jnp.where(time[:, None] == time[None, :], mean[:, None] * mean[None, :], 0))
+    return Kernel(mean, fit.derivative, gain, count / len(time), (fit.samples > degree) & fit.inside)
 
 
-def _means(sums: Array, at: int, plain: bool) -> Means:
-    """One IMU's averages from the sums (2, 24), its first column `at`."""
-    rate, force, same, mixed = (sums[0, k + at : k + at + 3] for k in (0, 6, 12, 18))
-    xx, yy, zz = same
-    xy, yz, zx = mixed
+def read(kernels: Kernel, value: Array, *, plain: bool) -> Window:
+    """Average both IMUs over one window.
+
+    Args:
+        kernels: leading axis of 2, of A and of P; or of 1, of both.
+        value: (W, 2, 6) of A and of P, rates, then specific forces; where missing, those of the sample before.
+        plain: as for `kernel`.
+
+    Returns:
+        The averages.
+    """
+    rates = value[:, :, :3]
+    parts = [value] if plain else [value, rates * rates, rates * jnp.roll(rates, -1, axis=2)]
+    columns = jnp.concatenate(parts, axis=2).reshape(len(value), -1)
+    # One product of both IMUs' weights and samples, for a batch takes longer over two of half the size.
+    sums = product(jnp.concatenate(kernels[:2]), columns).reshape(2, -1, 2, columns.shape[1] // 2)
+    a, p = (_means(sums[:, side % sums.shape[1], side], plain) for side in (0, 1))
+    # Where an IMU has half the samples, each of them counts in twice as many windows.
+    density = 1 / jnp.mean(1 / jnp.where(kernels.density > 0, kernels.density, 1))
+    steep = jnp.sum(kernels.derivative**2) / len(kernels.derivative)
+    return Window(a, p, jnp.mean(kernels.gain), steep, density, jnp.all(kernels.ready))
+
+
+def _means(sums: Array, plain: bool) -> Means:
+    """One IMU's averages from the sums (2, 12), or (2, 6) where plain."""
+    rate, turn, force = sums[0, :3], sums[1, :3], sums[0, 3:6]
+    if plain:
+        return Means(rate, turn, outer(rate, rate), force)
+    xx, yy, zz, xy, yz, zx = sums[0, 6:]
     square = jnp.stack([xx, xy, zx, xy, yy, yz, zx, yz, zz]).reshape(3, 3)
-    return Means(rate, sums[1, at : at + 3], outer(rate, rate) if plain else square, force)
+    return Means(rate, turn, square, force)
 
 
 def bent(window: Window, off: Array) -> Window:

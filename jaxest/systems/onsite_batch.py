@@ -166,7 +166,7 @@ def _solve(measurements: Pair, prior: Prior | None, half_width: Array, *, reach:
 def _windows(measurements: Pair, half_width: Array, reach: int, degree: int) -> win.Window:
     """Averages of the window about every sample, (T, ...); those that reach beyond an end are not ready."""
     dt = jnp.asarray(measurements.dt)
-    readings = [getattr(measurements, f"{kind}_{side}") for kind in ("gyroscope", "accelerometer") for side in "ap"]
+    readings = [getattr(measurements, f"{kind}_{side}") for side in "ap" for kind in ("gyroscope", "accelerometer")]
     value = jnp.concatenate([jnp.asarray(x.value) for x in readings], axis=1)
     there = jnp.all(jnp.isfinite(value), axis=1)
     for reading in readings:
@@ -190,7 +190,9 @@ def _windows(measurements: Pair, half_width: Array, reach: int, degree: int) -> 
         kept = jnp.clip(kept, 0, count - 1)
         valid = there[rows] & inside
         at = time[jnp.clip(kept - centre + reach, 0, 2 * reach)]
-        window = win.read(at, value[kept], valid, jnp.zeros((), dt.dtype), degree=degree, plain=False)
+        weights = win.kernel(at, valid, jnp.zeros((), dt.dtype), degree=degree, plain=False)
+        both = jax.tree.map(lambda x: x[None], weights)
+        window = win.read(both, value[kept].reshape(-1, 2, 6), plain=False)
         return window._replace(ready=window.ready & (centre >= half_width) & (centre + half_width < count))
 
     return jax.vmap(one)(jnp.arange(count))

@@ -135,7 +135,7 @@ def init(params: Params, *, key: Array | None = None, half_width: int = 7, lag: 
     one = onsite.init(params.pair, half_width=half_width, lag=lag)
     count = np.shape(params.front_rotation)[0]
     links = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *x.shape)), one)
-    return State(links, jnp.zeros_like(one.gain), jnp.zeros((), jnp.int32))
+    return State(links, jnp.zeros((), one.numbers.dtype), jnp.zeros((), jnp.int32))
 
 
 def step(
@@ -160,7 +160,7 @@ def step(
     shapes = [jnp.shape(x) for x in jax.tree.leaves(measurement)]
     if shapes != [(count, 2, 3), (count, 2), (count, 2, 3), (count, 2), ()]:
         raise ValueError(f"measurement: got shapes {shapes}, expected those of {count} links with two IMUs each")
-    dtype = state.links.gain.dtype
+    dtype = state.links.numbers.dtype
     bias = jnp.asarray(params.bias, dtype)
 
     def one(state: onsite.State, gyro: Reading, acc: Reading, bias: Array) -> tuple[onsite.State, onsite.Info]:

@@ -80,6 +80,41 @@ def test_live_in_ten_seconds():
     assert np.all(found.valid)
 
 
+def test_clocks_that_never_share_a_step():
+    """A's samples between P's, a twentieth lost of either: no worse than both at once, and each within its spread."""
+    runs, count = 12, 1600
+    m, truth = draw(runs, seed=8, steps=count, rate_hz=200.0)
+    rng = np.random.default_rng(0)
+    even = np.arange(count) % 2 == 0
+
+    def read(a, p):
+        kept = [there & (rng.uniform(size=(runs, count)) > 0.05) for there in (a, a, p, p)]
+        kept[1], kept[3] = kept[0], kept[2]  # an IMU is read whole
+        names = ("gyroscope_a", "accelerometer_a", "gyroscope_p", "accelerometer_p")
+        return m._replace(**{n: getattr(m, n)._replace(valid=v) for n, v in zip(names, kept, strict=True)})
+
+    apart = live(read(even, ~even), half_width=14)
+    # Half the steps have no sample at all here; the samples are as many.
+    together = live(read(even, even), half_width=14)
+    assert np.all(apart.valid)
+    for found in (apart, together):
+        distance, angle, placed, turned = errors(found, truth)
+        assert np.median(distance) < 1.0  # 8 s: five times the variance of 40 s
+        assert np.median(angle) < 0.1
+        # Binomial of 12 at 0.95.
+        assert placed.sum() >= 9
+        assert turned.sum() >= 9
+    difference = np.asarray(apart.position, float) - np.asarray(together.position, float)
+    spread = np.asarray(apart.covariance, float)[:, 3:, 3:] + np.asarray(together.covariance, float)[:, 3:, 3:]
+    square = np.einsum("ni,nij,nj->n", difference, np.linalg.inv(spread), difference)
+    # Readings of A are shared, which makes the sum of squares, 36 of independent ones, smaller; 4 deviations above.
+    assert 3 < square.sum() < 36 + 4 * np.sqrt(72)
+    ratio = np.trace(apart.covariance[:, 3:, 3:], axis1=1, axis2=2) / np.trace(
+        together.covariance[:, 3:, 3:], axis1=1, axis2=2
+    )
+    assert 0.6 < np.median(ratio) < 1.6
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("noise", "median", "worst"), [({}, 0.3, 1.0), (HARD, 1.0, 2.0)], ids=["usual", "hard"])
 def test_live_figures(noise, median, worst):
