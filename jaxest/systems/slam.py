@@ -66,8 +66,6 @@ class Params(NamedTuple):
     """() or (n,) rad or m, white noise of a reading."""
     missing: ArrayLike = 0.1
     """() or (n,) rad or m, how far a joint may be from its last reading while none comes."""
-    root_start: ArrayLike = 0.0
-    """() or (6,) m and rad, of a free root's pose before the first scan."""
     root_walk: ArrayLike = 0.0316
     """() or (6,) m and rad per root s, its random walk where no odometry comes."""
     travel: ArrayLike = 0.01
@@ -97,9 +95,9 @@ class Free(NamedTuple):
     joints: Reading
     """As in `Fixed`."""
     travel: Reading
-    """(3,) m, how the root moved since the step before, in its own axes then: wheel odometry."""
+    """(3,) m, how the root moved since the step before, in its own axes then: wheel odometry; unused at the first."""
     turn: Reading
-    """(3,) rad, how it turned, in its own axes: an integrated gyroscope."""
+    """(3,) rad, how it turned, in its own axes: an integrated gyroscope; unused at the first step."""
     dt: Array
     """() s."""
 
@@ -125,7 +123,8 @@ class Info(NamedTuple):
     quaternion: Array
     """(B, 4) wxyz, body to world."""
     pose_covariance: Array
-    """(B, 6, 6), rotation and translation along the world's axes, at the body's origin."""
+    """(B, 6, 6), rotation and translation along the world's axes, at the body's origin, relative to where the root was
+    at the first scan."""
     joints: Array
     """(n,) rad or m, reading less bias."""
     bias: Array
@@ -197,14 +196,13 @@ def build(
 
 
 def init(body: Body, layout: Layout, capacity: int, params: Params, *, key: Array | None = None) -> State:
-    """Return the state that has seen nothing: no map, and the root at its home."""
+    """Return the state that has seen nothing: no map, and the root at its home, which places the map in the world."""
     del key
     dtype = jnp.result_type(*jax.tree.leaves(params))
     n = len(body.joints)
     spread = jnp.broadcast_to(jnp.asarray(params.bias_start, dtype) ** 2, (n,))
     if body.root is not None:
-        root = jnp.broadcast_to(jnp.asarray(params.root_start, dtype) ** 2, (6,))
-        spread = jnp.concatenate([root, spread])
+        spread = jnp.concatenate([jnp.zeros(6, dtype), spread])
     at = np.array([body.robot.topology.joint_q[j] for j in body.joints], int)
     reading = jnp.asarray(body.robot.home[at], dtype)
     chart = empty(layout, capacity, 3 * n, dtype)
@@ -253,14 +251,15 @@ def _predict(
     grown = jnp.broadcast_to(params.bias_walk**2, (n,)) * dt
     if body.root is None:
         return mean, covariance + jnp.diag(grown)
-    # The root's start is `root_start` at the first scan, not a step before it.
+    # Where the root is at the first scan is where the map's frame lies: nothing moved it before.
     walk = jnp.broadcast_to(params.root_walk**2, (6,)) * jnp.where(index == 0, 0, dt)
+    started = index > 0
     moved = []
     for reading, deviation, blind in (
         (measurement.travel, params.travel, walk[:3]),
         (measurement.turn, params.turn, walk[3:]),
     ):
-        valid = jnp.asarray(reading.valid)
+        valid = jnp.asarray(reading.valid) & started
         moved.append((jnp.where(valid, reading.value, 0), jnp.where(valid, deviation**2, blind)))
     (travel, far), (turn, wide) = moved
     rotation = quaternion.to_matrix(mean.quaternion)

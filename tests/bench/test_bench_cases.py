@@ -62,6 +62,16 @@ def test_live():
     assert grown.unit == "MiB"
 
 
+def test_slam():
+    pytest.importorskip("small_gicp")
+    beside, other, compiled = bench.rows("slam", small=True)
+    assert beside.metric == other.metric == "live step"
+    assert beside.value == other.value > 0
+    assert beside.ratio > 0
+    assert other.ratio > 0
+    assert compiled.metric == "compile"
+
+
 @pytest.mark.slow  # compiles for most of a minute; its loop is tested below
 def test_onsite():
     rows = list(bench.rows("onsite", small=True))

@@ -186,6 +186,44 @@ def test_the_papers_filter_is_right_on_its_own_ground():
         slam_chain.build(robot(), ring("tool", 0.1))
 
 
+@pytest.fixture(scope="module")
+def loose():
+    """A free root, driven by odometry at first and by none later on."""
+    system = build(free=True)
+    measurements, truth = drawn(system, 0)
+    there = np.arange(STEPS) < 12
+    blind = {name: getattr(measurements, name)._replace(valid=there) for name in ("travel", "turn")}
+    step = jax.jit(partial(run, system.step), compiler_options=QUICK)
+    _, info = step(system.default_params, system.init(system.default_params), measurements._replace(**blind))
+    return info, truth
+
+
+def test_a_free_root_is_followed_with_odometry_and_by_the_room_alone(loose):
+    """It drifts by some 2 cm and 1 deg a second; without odometry it may be anywhere within 1 cm a step."""
+    info, truth = loose
+    assert np.all(np.asarray(info.status) == OK)
+    away = errors(info, truth)[:, SENSED]
+    assert away[8:12].max() < 0.03
+    assert away[-5:].max() < 0.04
+    assert np.abs(np.asarray(info.bias)[-1, KNOWN] - 0.05).max() < 0.015
+
+
+def test_a_free_roots_covariance_holds_it():
+    """Of the root's position where odometry ends, over 12 runs: a chi-square of 36 by 36, 1 +- 0.24."""
+    system = build(free=True)
+    draw = jax.jit(partial(system.simulate, system.default_params, steps=12), compiler_options=QUICK)
+    step = jax.jit(partial(run, system.step), compiler_options=QUICK)
+    squared = []
+    for seed in range(12):
+        measurements, truth = draw(key=jax.random.key(seed))
+        _, info = step(system.default_params, system.init(system.default_params), measurements)
+        # Nothing moves the map's frame, odometry of the first step included.
+        np.testing.assert_allclose(info.position[0, 0], 0, atol=1e-5)
+        error = np.asarray(info.position)[-1, 0] - np.asarray(truth.position)[-1, 0]
+        squared.append(error @ np.linalg.solve(np.asarray(info.pose_covariance)[-1, 0, 3:, 3:], error) / 3)
+    assert 0.4 < np.mean(squared) < 1.8
+
+
 def test_rows_are_the_derivatives_of_their_residuals(x64):
     """Against finite differences of a plane through fixed neighbours, by the state and by the link alone."""
     random = np.random.default_rng(0)

@@ -1,0 +1,67 @@
+"""The pieces of Iwao 2025's table and figures, in small, and their figures of merit on made-up runs."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from jaxest import reproduce
+from jaxest.reproduce.iwao2025 import runs, table
+from jaxest.reproduce.iwao2025.conditions import chosen, condition
+from jaxest.types import InputError
+
+
+@pytest.fixture(scope="module")
+def work(tmp_path_factory):
+    return tmp_path_factory.mktemp("iwao2025")
+
+
+@pytest.fixture(scope="module")
+def first(work):
+    """One condition in one room, a second long."""
+    choice = reproduce.Choice(small=True, runs=1, rows=("5 links",), work=work)
+    return table.table2(choice, lambda message: None)
+
+
+def test_a_row_stands_beside_the_papers(first):
+    found = {(row.metric, row.condition): row for row in first.rows}
+    error = found["position error", "5 links, link 5"]
+    assert error.reference == condition("5 links").paper[5][0]
+    assert 0 < error.value < found["kinematics alone", "5 links, link 5"].value
+    assert found["worst room", "5 links, link 5"].value == error.value
+    assert 50 < found["map points within 5 cm of a surface", "5 links"].value <= 100
+
+
+def test_a_finished_run_is_not_computed_again(first, work):
+    (kept,) = (work / "runs").glob("*.json")
+    changed = json.loads(kept.read_text())
+    changed["mean"]["5"] = 123.0
+    kept.write_text(json.dumps(changed))
+    again = table.table2(reproduce.Choice(small=True, runs=1, rows=("5 links",), work=work), lambda message: None)
+    assert again.rows[0].value == 123.0
+    assert list((work / "scans").iterdir())
+
+
+def test_a_row_that_is_none_is_named():
+    with pytest.raises(InputError, match="20 links"):
+        chosen(("20 link",))
+
+
+def test_nees_counts_only_directions_that_can_move():
+    random = np.random.default_rng(0)
+    root = random.normal(size=(4, 4)) * [[1], [2], [3], [0]]
+    covariance = root @ root.T
+    errors = random.normal(size=(40_000, 4)) @ root.T
+    found = runs.nees(errors, np.broadcast_to(covariance, (40_000, 4, 4)))
+    # A chi-square of 3 by 3: its mean over 40000 has a standard error of 0.004.
+    assert found.mean() == pytest.approx(1, abs=0.02)
+    assert np.all(runs.nees(np.ones((2, 4)), np.zeros((2, 4, 4))) == 0)
+
+
+def test_turns_are_those_of_the_world():
+    angle = 0.3
+    turned = np.array([[[np.cos(angle / 2), 0, 0, np.sin(angle / 2)]]])
+    before = np.array([[[np.sqrt(0.5), np.sqrt(0.5), 0, 0]]])
+    both = np.asarray(jax.vmap(jax.vmap(runs.quaternion.compose))(turned, before))
+    np.testing.assert_allclose(runs._turned(both, before)[0, 0], [0, 0, angle], atol=1e-6)
