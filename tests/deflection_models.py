@@ -2,8 +2,10 @@
 
 from functools import cache
 
+import numpy as np
+
 from jaxest import kinematics, models
-from jaxest.sensors import Sensor
+from jaxest.sensors import Sensor, link_orientation, link_position
 from jaxest.systems import deflection
 
 SENSORS = (
@@ -14,6 +16,52 @@ SENSORS = (
 )
 """As in Sato 2023, Table I."""
 FEW = SENSORS[:1] + SENSORS[2:]
+
+CRANE = """
+<mujoco>
+  <worldbody>
+    <body name="trolley" pos="0 0 2">
+      <joint name="rail" type="slide" axis="1 0 0"/>
+      <geom size=".1" mass="2"/>
+      <body name="arm">
+        <joint name="boom" type="hinge" axis="0 1 0"/>
+        <geom type="capsule" size=".02" fromto="0 0 0 .4 0 0" mass="1"/>
+        <site name="imu"/>
+        <body name="cup" pos=".4 0 0">
+          <joint name="wrist" type="ball"/>
+          <geom size=".05" pos=".1 0 0" mass=".3"/>
+          <site name="tip" pos=".2 .05 0"/>
+        </body>
+      </body>
+    </body>
+    <body name="buoy" pos="1 1 0"><freejoint name="drift"/><geom size=".1" mass="1"/></body>
+  </worldbody>
+</mujoco>
+"""
+"""A joint of every kind."""
+
+
+@cache
+def crane():
+    return kinematics.load(CRANE)
+
+
+def crane_sensors():
+    return (
+        Sensor("slide_position", "rail"),
+        Sensor("joint_angle", "boom"),
+        Sensor("link_orientation", "imu", ("site:imu",)),
+        Sensor("link_orientation", "cup", ("cup",), link_orientation.Params(link_orientation.unimodal())),
+        Sensor("link_position", "tip", ("site:tip",), link_position.Params(np.full(3, 1e-4))),
+    )
+
+
+@cache
+def hanging(proposal=deflection.guided, particles=32):
+    """The crane as a deflection filter."""
+    joints = ["rail", "boom", "wrist"]
+    system = deflection.build(crane(), crane_sensors(), joints=joints, particles=particles, proposal=proposal)
+    return system._replace(default_params=system.default_params._replace(prior=np.full(5, 30.0)))
 
 
 @cache

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from deflection_models import FEW
+from deflection_models import FEW, hanging
 from deflection_models import build as bent_arm
 from kalman_models import build as kalman_body
 from onsite_models import chain, pose, position, rotation, window
@@ -65,6 +65,7 @@ ROWS = [
     Row("particle_bootstrap", particle_arm, differentiable=False),
     Row("deflection_bootstrap", partial(bent_arm, deflection.bootstrap, FEW), differentiable=False),
     Row("deflection_guided", partial(bent_arm, deflection.guided, FEW), differentiable=False),
+    Row("deflection_joints", hanging, differentiable=False),
     Row(
         "particle_guided",
         partial(particle_arm, GUIDED, resampling.adaptive(resampling.stratified, 0.9)),

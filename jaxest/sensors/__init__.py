@@ -2,8 +2,9 @@
 
 Each kind is a module with `Params`, `predict`, `log_prob`, `residual`, `rows` (the residual with its derivative, for
 filters that look at the measurement before they draw) and `sample`, for one configuration; a reading that is not valid
-counts exactly 0. `joint_angle` looks at joint angles (n,), `link_orientation`, `link_position`, `gravity_direction`
-and `end_effector_pose` at one frame, `relative_orientation` at two: what `jaxest.kinematics.forward` gives for them.
+counts exactly 0. `joint_angle` looks at hinges (n,), `slide_position` at slides, `link_orientation`, `link_position`,
+`gravity_direction` and `end_effector_pose` at one frame, `relative_orientation` at two: what
+`jaxest.kinematics.forward` gives for them.
 
 `Sensor(kind, name, frames)` describes one on a robot, `measurement_type` what a step of several looks like, and
 `check_params` and `check_measurements` find bad numbers on the host before anything runs.
@@ -18,6 +19,7 @@ from jaxest.sensors import (
     link_orientation,
     link_position,
     relative_orientation,
+    slide_position,
 )
 from jaxest.sensors.spec import KINDS, Sensor, check_measurements, check_params, default_params, measurement_type
 
@@ -34,4 +36,5 @@ __all__ = [
     "link_position",
     "measurement_type",
     "relative_orientation",
+    "slide_position",
 ]

@@ -9,12 +9,15 @@ import jax
 import jax.numpy as jnp
 
 from jaxest.distributions import von_mises
+from jaxest.kinematics.robot import HINGE
 from jaxest.manifolds import circle
 from jaxest.sensors._masked import only, shown
 from jaxest.types import Array, ArrayLike, Reading
 
 FRAMES = 0
 """How many frames it looks at; 0 for the joints."""
+JOINTS = HINGE
+"""The kind of joints it looks at."""
 VALUE = ()
 """Shape of a joint's value."""
 
@@ -65,6 +68,11 @@ def rows(params: Params, reading: Reading, angles: Array, jacobian: Array) -> tu
     root = jnp.sqrt(jnp.asarray(params.concentration, angles.dtype))
     slope = only(valid, -root * jnp.cos(half))
     return 2 * root * jnp.sin(half), slope[:, None] * jacobian
+
+
+def precision(params: Params) -> ArrayLike:
+    """Return how much a reading says of a joint, () or (n,) 1/rad^2, but for the noise's shape."""
+    return params.concentration
 
 
 def sample(key: Array, params: Params, angles: Array) -> Array:

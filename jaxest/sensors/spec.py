@@ -14,6 +14,7 @@ from jaxest.sensors import (
     link_orientation,
     link_position,
     relative_orientation,
+    slide_position,
 )
 from jaxest.types import ArrayLike, InputError, PyTree, Reading, unknown_name
 
@@ -25,6 +26,7 @@ KINDS = MappingProxyType(
         "end_effector_pose": end_effector_pose,
         "gravity_direction": gravity_direction,
         "relative_orientation": relative_orientation,
+        "slide_position": slide_position,
     }
 )
 """Name of a kind, and the module that holds it."""

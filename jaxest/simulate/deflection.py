@@ -14,12 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.kinematics import Frames, Robot, forward, frame, gravity_torque
+from jaxest.kinematics.movement import moved
+from jaxest.kinematics.space import part, space, unflat
 from jaxest.manifolds import quaternion as quat
 from jaxest.sensors import Sensor, default_params, measurement_type
 from jaxest.sensors.joints import chosen, columns
 from jaxest.sensors.spec import checked, module
 from jaxest.simulate import trajectories
-from jaxest.types import Array, ArrayLike, Reading
+from jaxest.types import Array, ArrayLike, PyTree, Reading
 
 G = 9.80665  # m/s2
 
@@ -28,9 +30,11 @@ class Faults(NamedTuple):
     """How bad robot and sensors are."""
 
     compliance: ArrayLike = 0.033
-    """() or (d,) rad/(N m), how far joints give. Source: Sato 2023, section IV-B."""
+    """() or (d,) rad/(N m), how far joints give, m/N for slides. Source: Sato 2023, section IV-B."""
     encoder: ArrayLike = 0.003
-    """() rad, standard deviation of a reading."""
+    """() rad, standard deviation of a hinge's reading."""
+    way: ArrayLike = 0.001
+    """() m, of a slide's."""
     drift: ArrayLike = 0.0017
     """() rad/s, of the yaw of every orientation in the world: left on the first such sensor, right on the next, and
     so on."""
@@ -53,10 +57,10 @@ class Faults(NamedTuple):
 class Truth(NamedTuple):
     """What the measurements come from."""
 
-    reference: Array
-    """(T, d) rad, the angles that were commanded."""
-    angles: Array
-    """(T, d) rad, effective: a rigid robot with these stands as the bent one does."""
+    reference: PyTree
+    """(T, d) rad, the angles that were commanded; `jaxest.kinematics.space.Joints` where not all are hinges."""
+    angles: PyTree
+    """The same, effective: a rigid robot with these stands as the bent one does."""
     frames: Frames
     """(T, n, ...) poses of the frames asked for, of the bent robot."""
 
@@ -83,7 +87,7 @@ def simulate(
         key: key of the whole recording.
         duration: s.
         rate_hz: measurements per second.
-        joints: names of the d hinges that bend and are estimated; as in `systems.deflection.build`.
+        joints: names of the joints that bend and are estimated; as in `systems.deflection.build`.
         others: names of joints that do not bend and whose coordinates come with the measurement.
         motion: time () s -> commanded q (nq,); a slow random one if None.
         torque: time () s -> (d,) N m of an outer force about the joints, such as a table under the hand; none if None.
@@ -105,32 +109,35 @@ def simulate(
         raise ValueError(f"duration: got {duration} s at {rate_hz} Hz, expected at least one sample")
     sensors, given = checked(sensors), faults or Faults()
     estimated, rest = chosen(robot, joints, others)
-    at = np.array([robot.topology.joint_q[j] for j in estimated])
-    velocity = np.array([robot.topology.joint_v[j] for j in estimated])
+    bends = space(robot, estimated)
+    at, velocity = np.array(bends.coordinates), np.array(bends.velocities)
     other = np.array([robot.topology.joint_q[j] for j in rest], int)
     moves, noise = jax.random.split(key)
     motion = motion or partial(trajectories.configuration, slow_motion(moves, robot))
     time = jnp.arange(count) / rate_hz
     home = jnp.asarray(robot.home, time.dtype)
-    rows = [_rows(robot, estimated, sensor) for sensor in sensors]
     names = [f for sensor in sensors for f in sensor.frames if module(sensor).FRAMES]
     numbers = [frame(robot, f) for f in (*names, *frames)]
 
-    def bent(t: Array) -> tuple[Array, Array, Array, Frames]:
+    def bent(t: Array) -> tuple[PyTree, PyTree, Array, Frames]:
         free = motion(t).astype(time.dtype)
         kept = np.concatenate([at, other])
         q = home.at[kept].set(free[kept])
-        push = torque(t) if torque else jnp.zeros(len(at), time.dtype)
+        push = torque(t) if torque else jnp.zeros(bends.dim, time.dtype)
         give = jnp.asarray(given.compliance, time.dtype) * (push - gravity_torque(robot, q)[velocity])
-        return q[at], q[at] + give, q[other], forward(robot, q.at[at].add(give), numbers)
+        gone = moved(robot, q, jnp.zeros(robot.nv, time.dtype).at[velocity].set(give))
+        return unflat(bends, q[at]), unflat(bends, gone[at]), q[other], forward(robot, gone, numbers)
 
     reference, angles, carried, poses = jax.vmap(bent)(time)
     record, params = measurement_type(sensors, others=bool(rest)), default_params(sensors)
     readings: dict[str, Reading] = {}
     first, turned = 0, 0
-    for index, (sensor, row) in enumerate(zip(sensors, rows, strict=True)):
-        view: Any = reference[:, np.array(row, int)]
-        if module(sensor).FRAMES:
+    for index, sensor in enumerate(sensors):
+        view: Any
+        if not module(sensor).FRAMES:
+            kind = module(sensor).JOINTS
+            view = part(reference, kind)[:, np.array(columns(robot, estimated, kind, sensor.name, sensor.frames))]
+        else:
             last = first + len(sensor.frames)
             view, first = jax.tree.map(lambda x, run=slice(first, last): x[:, run], poses), last
         ideal = jax.vmap(partial(module(sensor).predict, getattr(params, sensor.name)))(view)
@@ -150,13 +157,13 @@ def slow_motion(key: Array, robot: Robot) -> trajectories.Motion:
     return trajectories.random_motion(key, robot, waves=2, slowest=0.025, fastest=0.1, reach=0.6)
 
 
-def _rows(robot: Robot, joints: tuple[int, ...], sensor: Sensor) -> tuple[int, ...]:
-    return () if module(sensor).FRAMES else columns(robot, joints, sensor.name, sensor.frames)
-
-
 def _encoder(key: Array, faults: Faults, dt: float, sign: int, ideal: Array) -> Reading:
     noise = faults.encoder * jax.random.normal(key, ideal.shape, ideal.dtype)
     return Reading(ideal + noise, jnp.ones(len(ideal), bool))
+
+
+def _way(key: Array, faults: Faults, dt: float, sign: int, ideal: Array) -> Reading:
+    return _encoder(key, faults._replace(encoder=faults.way), dt, sign, ideal)
 
 
 def _orientation(key: Array, faults: Faults, dt: float, sign: int, ideal: Array) -> Reading:
@@ -199,6 +206,7 @@ _CORRUPT = MappingProxyType(
         "end_effector_pose": _pose,
         "gravity_direction": _gravity,
         "relative_orientation": _relative,
+        "slide_position": _way,
     }
 )
 

@@ -3,6 +3,9 @@
 Links bend and joints give; the angles at which a rigid robot would stand as the real one does are estimated from
 encoders, IMUs, markers and the like. Table I of the paper is the default.
 
+States are angles (d,) rad where all joints are hinges, else `jaxest.kinematics.space.Joints`: hinges, slides, balls.
+Tangent vectors (d,), and so covariances and what `Params` has for each coordinate, take them in that order.
+
 Source: Sato 2023.
 """
 
@@ -14,17 +17,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxest.distributions import von_mises as density
 from jaxest.filters import particle
 from jaxest.filters.resampling import Resampler, stratified
 from jaxest.kinematics import Robot, gravity_torque
-from jaxest.manifolds import Power, circle
+from jaxest.kinematics.robot import BALL, HINGE, SLIDE
+from jaxest.kinematics.space import Space, space_of, unflat
 from jaxest.manifolds.base import Manifold
 from jaxest.sensors import Sensor, default_params, measurement_type
 from jaxest.systems import _deflection_body as bodies
+from jaxest.systems import _deflection_walk as walks
 from jaxest.systems._deflection_body import Body
 from jaxest.systems._deflection_simulation import simulate
-from jaxest.systems._deflection_walk import gaussian, guessing, opening, von_mises
+from jaxest.systems._deflection_walk import first, gaussian, guessing, opening, von_mises
 from jaxest.types import Array, ArrayLike, InputError, PyTree, Reading, System
 
 SENSORS = (Sensor("joint_angle", "joints"),)
@@ -40,13 +44,15 @@ class Params(NamedTuple):
     sensors: PyTree = None
     """Each sensor's `Params`, by its name."""
     walk: ArrayLike = 5.0
-    """() or (d,) concentration of a step's noise, 1/rad^2 where it is large. Noise of the default is drawn fastest."""
+    """() or (d,) concentration of a step's noise, 1/rad^2 where it is large, 1/m^2 for slides (`build` has 2500:
+    0.02 m). Hinges' noise of the default is drawn fastest."""
     prior: ArrayLike = 0.1
-    """() or (d,) concentration of the angles before the first measurement."""
+    """() or (d,) concentration of the angles before the first measurement; slides' and balls' must not be 0
+    (`build` has 1: 1 m, 1 rad)."""
     start: ArrayLike = 0.0
-    """() or (d,) rad, their mean."""
+    """() or (d,) rad, their mean; m for slides, a rotation vector for balls."""
     compliance: ArrayLike = 0.0
-    """() or (d,) rad/(N m), how far joints give under gravity; only looked at with `sag`."""
+    """() or (d,) rad/(N m), how far joints give under gravity, m/N for slides; only looked at with `sag`."""
 
 
 class Estimate(NamedTuple):
@@ -54,9 +60,9 @@ class Estimate(NamedTuple):
 
     info: particle.Info
     lower: Array
-    """(d,) rad, lower end, from the mean."""
+    """(d,) rad or m, lower end, from the mean in the tangent space there."""
     upper: Array
-    """(d,) rad, upper end, from the mean."""
+    """(d,) upper end."""
 
 
 def bootstrap(manifold: Manifold, transition: particle.Transition, log_likelihood: Any, rows: Any) -> Any:
@@ -89,7 +95,7 @@ def build(
     particles: int = 2048,
     proposal: Choice = bootstrap,
     resample: Resampler = stratified,
-    noise: Callable[[int], particle.Transition] = von_mises,
+    noise: Callable[[Space], particle.Transition] = von_mises,
     sag: bool = False,
     ancestors: bool = False,
 ) -> System:
@@ -100,8 +106,8 @@ def build(
     Args:
         robot: the robot; its numbers are folded into the compiled step.
         sensors: the sensors, with their parameters where they differ from the defaults.
-        joints: names of the d hinges to estimate; every hinge that no other joint leads and that is not among
-            `others` if None.
+        joints: names of the hinges, slides and balls to estimate; every hinge that no other joint leads and that is
+            not among `others` if None.
         others: names of joints that are not estimated, whose coordinates come with the measurement. All other joints
             stand at `robot.home`.
         particles: number N.
@@ -114,11 +120,12 @@ def build(
 
     Returns:
         The system. A measurement is `jaxest.sensors.measurement_type(sensors, others=...)`: a `Reading` per sensor
-        under its name, `others` (n,) where there are any, and `dt`. Its infos are `particle.Info` with the circular
-        mean (d,) rad and the covariance (d, d); `history=with_interval` of `run` adds 95 % intervals.
+        under its name, `others` (n,) where there are any, and `dt`. Its infos are `particle.Info` with the mean, a
+        state (angles on the circle, balls among rotations), and the covariance (d, d) in the tangent space there;
+        `history=with_interval` of `run` adds 95 % intervals.
 
     Raises:
-        InputError: a joint, frame or kind does not exist (the closest names are given), a joint is not a hinge, or
+        InputError: a joint, frame or kind does not exist (the closest names are given), a joint is free or coupled, or
             gravity is asked of a robot without masses.
         ValueError: there are no particles.
 
@@ -129,25 +136,42 @@ def build(
     body = bodies.body(robot, sensors, joints, others)
     if sag and robot.topology.massless:
         raise InputError(f"sag: bodies without mass: {', '.join(robot.topology.massless)}")
-    manifold, read = Power(circle, body.size), partial(bodies.read, body)
-    transition = guessing(noise(body.size), read)
+    where, read = body.space, partial(bodies.read, body)
+    manifold, transition = where.manifold, guessing(where, noise(where), read)
     if noise is von_mises:
-        transition = transition._replace(opening=opening(transition, read))
+        transition = transition._replace(opening=opening(where, transition, read))
     propose = proposal(manifold, transition, partial(bodies.log_likelihood, body), partial(bodies.rows, body))
     step = particle.filter_step(particle.Model(manifold, propose, resample, ancestors))
     return System(
-        Params(default_params(sensors)),
-        partial(init, body.size, particles),
+        defaults(where, default_params(sensors)),
+        partial(init, where, particles),
         partial(_sagging, body, step) if sag else step,
-        partial(simulate, body, measurement_type(sensors, others=bool(body.others)), sag),
+        partial(simulate, body, measurement_type(sensors, others=bool(body.others)), transition, sag),
     )
 
 
-def init(size: int, particles: int, params: Params, *, key: Array | None = None) -> particle.State:
+def defaults(where: Space, sensors: PyTree) -> Params:
+    """Return Table I's parameters, with numbers of our own for slides and balls.
+
+    Args:
+        where: the joints.
+        sensors: the sensors' parameters.
+    """
+    given = Params(sensors)
+    if all(kind == HINGE for kind in where.kinds):
+        return given
+    walk, prior = {HINGE: given.walk, SLIDE: walks.SLIDE, BALL: walks.BALL}, {HINGE: given.prior}
+    return given._replace(
+        walk=np.array([walk[kind] for kind in where.kinds]),
+        prior=np.array([prior.get(kind, walks.PRIOR) for kind in where.kinds]),
+    )
+
+
+def init(where: Space, particles: int, params: Params, *, key: Array | None = None) -> particle.State:
     """Draw particles from what is known before the first measurement.
 
     Args:
-        size: d.
+        where: the joints.
         particles: N.
         params: the parameters; `prior` and `start` are used.
         key: random key.
@@ -162,9 +186,7 @@ def init(size: int, particles: int, params: Params, *, key: Array | None = None)
     """
     if key is None:
         raise ValueError("key: got None, expected a key to draw the first particles with")
-    dtype = jnp.result_type(*jax.tree.leaves(params))
-    prior, start = jnp.asarray(params.prior, dtype), jnp.asarray(params.start, dtype)
-    return particle.init(density.sample(jax.random.fold_in(key, 0x7FFFFFFF), start, prior, (particles, size)))
+    return particle.init(first(where, params, jax.random.fold_in(key, 0x7FFFFFFF), particles))
 
 
 def _sagging(
@@ -182,20 +204,18 @@ def sagged(body: Body, params: Params, measurement: Any) -> Any:
         reading = getattr(measurement, look.name)
         value = jnp.asarray(reading.value)
         valid = jnp.broadcast_to(jnp.asarray(reading.valid, bool), value.shape) & jnp.isfinite(value)
-        at = np.array([body.robot.topology.joint_q[j] for j in body.joints])
-        x = jnp.asarray(body.robot.home[at], value.dtype)
-        chosen = np.array(look.rows)
-        x = x.at[chosen].set(jnp.where(valid, value, x[chosen]))
-        bend = jnp.asarray(params.compliance, value.dtype) * holding_torque(body, x, measurement)
-        changed = Reading(value - bend[chosen], reading.valid)
-        measurement = measurement._replace(**{look.name: changed})
+        x = jnp.asarray(body.robot.home[np.array(body.space.coordinates)], value.dtype)
+        read = np.array(look.columns)  # of hinges and slides, which have as many coordinates as velocities
+        x = x.at[read].set(jnp.where(valid, value, x[read]))
+        bend = jnp.asarray(params.compliance, value.dtype) * holding_torque(body, unflat(body.space, x), measurement)
+        measurement = measurement._replace(**{look.name: Reading(value - bend[read], reading.valid)})
     return measurement
 
 
-def holding_torque(body: Body, x: Array, measurement: Any) -> Array:
-    """Return the torques (d,) N m that hold the estimated joints at x (d,) rad."""
+def holding_torque(body: Body, x: PyTree, measurement: Any) -> Array:
+    """Return the torques (d,) N m, or N for slides, that hold the estimated joints in the state x."""
     torque = gravity_torque(body.robot, bodies.posture(body, x, measurement))
-    return torque[np.array([body.robot.topology.joint_v[j] for j in body.joints])]
+    return torque[np.array(body.space.velocities)]
 
 
 def interval(state: particle.State, probability: float = 0.95) -> particle.Interval:
@@ -206,15 +226,14 @@ def interval(state: particle.State, probability: float = 0.95) -> particle.Inter
         probability: share inside.
 
     Returns:
-        Centre (d,) rad, and the ends (d,) as differences from it. O(N log N).
+        Centre, a state, and the ends (d,) rad or m in the tangent space there. O(N log N).
     """
-    manifold = Power(circle, state.particles.shape[1])
-    return particle.interval(manifold, state.particles, state.log_weights, probability)
+    return particle.interval(space_of(state.particles), state.particles, state.log_weights, probability)
 
 
 def with_interval(state: particle.State, info: particle.Info) -> Estimate:
     """Keep every info with its 95 % interval: a `history` for `jaxest.filters.run`."""
-    manifold = Power(circle, state.particles.shape[1])
+    manifold = space_of(state.particles)
     found = particle.interval(manifold, state.particles, state.log_weights, 0.95, info.mean)
     return Estimate(info, found.lower, found.upper)
 

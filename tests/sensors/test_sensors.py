@@ -28,6 +28,7 @@ PARAMS = {
         np.array([0.0, -300.0, -800.0, -20.0]), MOUNTING, MOUNTING[[1, 0, 3, 2]]
     ),
 }
+PARAMS["slide_position"] = sensors.slide_position.Params(np.array([0.01, 0.3, 0.02, 0.1]), 0.1)
 PARAMS["end_effector_pose"] = sensors.end_effector_pose.Params(PARAMS["link_position"], PARAMS["link_orientation"])
 Q = np.array([0.3, -0.5, 0.9, 0.2])
 OTHER = np.array([0.5, -0.3, 1.0, 0.1])
@@ -111,6 +112,10 @@ def test_densities_are_those_of_elsewhere(x64):
     expected = stats.vonmises.logpdf(value - 0.1 - Q, PARAMS["joint_angle"].concentration).sum()
     np.testing.assert_allclose(density, expected, atol=1e-11)
 
+    value, (density, _), *_ = evaluated("slide_position", "float64")
+    expected = stats.norm.logpdf(value, Q + 0.1, np.sqrt(PARAMS["slide_position"].variance)).sum()
+    np.testing.assert_allclose(density, expected, atol=1e-11)
+
     frames = poses(Q)
     turns = rotation(frames.quaternion)
     value, (density, _), *_ = evaluated("link_position", "float64")
@@ -171,6 +176,7 @@ def test_samples_lie_as_the_density_says(name):
     expected = {
         "joint_angle": sum(2 * k * (1 - mean_cosine(k)) for k in PARAMS["joint_angle"].concentration),
         "link_position": 3.0,
+        "slide_position": 4.0,
         "gravity_direction": 100 * (1 - (1 / np.tanh(50.0) - 1 / 50.0)),
         "link_orientation": bingham_energy(),
         "relative_orientation": bingham_energy(),

@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
 
 from jaxest.filters.particle import _cholesky
 from jaxest.filters.particle._flat import flat
@@ -34,7 +36,7 @@ def posterior(
     given: tuple[PyTree, PyTree, PyTree],
     prior: Prior,
     iterations: ArrayLike,
-    reach: float = math.inf,
+    reach: NDArray[np.float64] | float = math.inf,
 ) -> tuple[Array, Array, Array, Array]:
     """Find each particle's Gaussian by Gauss-Newton.
 
@@ -44,7 +46,7 @@ def posterior(
         given: parameters, where the tangent spaces are taken (leaves (N, ...)), measurement.
         prior: the Gaussians without the measurement.
         iterations: () how often to linearise.
-        reach: how far from the centre, in any coordinate.
+        reach: () or (d,) how far from the centre, in any coordinate.
 
     Returns:
         The last equations (d, d + 1, N), their factor (d, d + 1, N) and solution (d, N); and (N,) minus twice the
@@ -73,12 +75,14 @@ def _quadratic(prior: Prior, v: Array) -> Array:
     return jnp.sum(v * (pushed - 2 * prior.pull), axis=0) + prior.energy
 
 
-def within(v: Array, reach: float) -> Array:
-    """Shorten tangent vectors (d, N) that go farther than that in a coordinate."""
-    if math.isinf(reach):
+def within(v: Array, reach: NDArray[np.float64] | float) -> Array:
+    """Shorten tangent vectors (d, N) that go farther than that, () or (d,), in a coordinate."""
+    limit = np.broadcast_to(reach, v.shape[:1])
+    kept = np.flatnonzero(np.isfinite(limit))
+    if not kept.size:
         return v
-    farthest = jnp.max(jnp.abs(v), axis=0, keepdims=True)
-    return v * jnp.minimum(1, reach / jnp.maximum(farthest, jnp.finfo(v.dtype).tiny))
+    inside = jnp.asarray(limit[kept, None], v.dtype) / jnp.maximum(jnp.abs(v[kept]), jnp.finfo(v.dtype).tiny)
+    return v * jnp.minimum(1, jnp.min(inside, axis=0, keepdims=True))
 
 
 def factorized(equations: Array, basis: Array | None, prior: Prior) -> Array:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxest.filters.particle import _cholesky
 from jaxest.filters.particle import _draws as draws
@@ -13,7 +14,7 @@ from jaxest.filters.particle import _gauss_newton as gauss_newton
 from jaxest.filters.particle._draws import Plan
 from jaxest.filters.particle._gauss_newton import Prior
 from jaxest.filters.particle.proposal import LogLikelihood, Rows, densities, each
-from jaxest.filters.particle.transition import Opening, Transition
+from jaxest.filters.particle.transition import Opening, Transition, direct
 from jaxest.filters.resampling import normalize
 from jaxest.manifolds.base import Manifold
 from jaxest.types import Array, ArrayLike, PyTree
@@ -63,7 +64,8 @@ class Guided(NamedTuple):
         if self.transition.opening is not None:
             turns = jnp.where(begins, max(OPENING, self.iterations), self.iterations)
         given = (fixed, centre, seen)
-        reach = REACH if self.transition.bounded else math.inf
+        bounded = np.broadcast_to(self.transition.bounded, (self.manifold.dim,))
+        reach = np.where(bounded, REACH, math.inf)
         equations, factor, mode, energy = gauss_newton.posterior(self.manifold, self.rows, given, prior, turns, reach)
         basis, wide = gauss_newton.split(equations) if self.curved else (None, None)
         if basis is not None:
@@ -247,10 +249,10 @@ def _densities(
         return usual()
 
     def anew() -> Array:
-        drawn = jax.vmap(opening.log_prob, (None, 0, 0, None))(params, particles, moved, measurement)
+        drawn = jax.vmap(opening.log_prob, (None, 0, 0, 0, None))(params, particles, moved, noise, measurement)
         # As for a transition: a draw that has gone round weighs nothing, the same state is drawn the short way.
         way = jax.lax.stop_gradient(jax.vmap(ours.manifold.local)(plan.centre, moved))
-        return jnp.where(jnp.all(jnp.abs(way - noise) < 1, axis=1), drawn, -jnp.inf)
+        return jnp.where(jax.vmap(partial(direct, ours.transition))(way, noise), drawn, -jnp.inf)
 
     density: Array = jax.lax.cond(plan.first, anew, usual)
     return density

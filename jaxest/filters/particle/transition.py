@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxest.manifolds.base import Manifold
 from jaxest.types import Array, ArrayLike, PyTree
@@ -23,8 +24,9 @@ class Opening(NamedTuple):
     """`(params, x, measurement) -> x` of the law."""
     precision: Callable[[PyTree, PyTree], Array]
     """`(params, measurement) -> (d,)` of a Gaussian like it; good ones save particles."""
-    log_prob: Callable[[PyTree, PyTree, PyTree, PyTree], Array]
-    """`(params, x, moved, measurement) -> ()` log-density of the first state `moved`, exact."""
+    log_prob: Callable[[PyTree, PyTree, PyTree, Array, PyTree], Array]
+    """`(params, x, moved, v, measurement) -> ()` log-density of the first state `moved`, exact; v (d,) leads there from
+    the centre, for coordinates that keep to the particle's way."""
 
 
 class Transition(NamedTuple):
@@ -44,9 +46,10 @@ class Transition(NamedTuple):
     precision: Callable[[PyTree, PyTree], Array]
     """`(params, measurement) -> (d,)` or (d, d) positive definite, of a Gaussian like the noise; only `guided` asks,
     and any value is right, good ones save particles."""
-    bounded: bool = True
+    bounded: bool | tuple[bool, ...] = True
     """Whether noise ends at half a turn, as the density of an angle does: what a proposal draws beyond then weighs
-    nothing. False for noise that may go round, such as Gaussian noise of an angle."""
+    nothing. False for noise that may go round, such as Gaussian noise of an angle or a rotation vector. One for all or
+    for each of the d coordinates."""
     guess: Callable[[PyTree, PyTree, PyTree], Array] | None = None
     """`(params, mean, measurement) -> (d,)` noise that a search for the most probable state had better start from, such
     as what leads to an encoder's reading; 0 if None. Only `guided` asks."""
@@ -91,10 +94,15 @@ def log_density(
     """
     way = manifold.local(transition.mean(params, x, measurement), moved)
     density = transition.log_prob(params, v + (way - jax.lax.stop_gradient(way)), measurement)
+    return jnp.where(direct(transition, way, v), density, -jnp.inf)
+
+
+def direct(transition: Transition, way: Array, v: Array) -> Array:
+    """Return whether noise v (d,) that must end at half a turn does so: () bool, from the short way (d,) to its end."""
     if not transition.bounded:
-        return density
-    direct = jnp.all(jnp.abs(way - v) < 1)  # not so where v went more than half a turn
-    return jnp.where(direct, density, -jnp.inf)
+        return jnp.ones((), bool)
+    near = jnp.abs(way - v) < 1  # not so where v went more than half a turn
+    return jnp.all(near if transition.bounded is True else near | ~np.array(transition.bounded))
 
 
 __all__ = ["Opening", "Transition", "gaussian", "log_density"]
