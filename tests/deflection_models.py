@@ -1,6 +1,6 @@
 """The packaged arm with a sensor of each sort, as a deflection filter: for the contract and for its own tests."""
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
@@ -57,11 +57,14 @@ def crane_sensors():
 
 
 @cache
-def hanging(proposal=deflection.guided, particles=32):
+def hanging(proposal=deflection.bootstrap, particles=32):
     """The crane as a deflection filter."""
     joints = ["rail", "boom", "wrist"]
     system = deflection.build(crane(), crane_sensors(), joints=joints, particles=particles, proposal=proposal)
-    return system._replace(default_params=system.default_params._replace(prior=np.full(5, 30.0)))
+    return system._replace(
+        default_params=system.default_params._replace(prior=np.full(5, 30.0)),
+        simulate=partial(system.simulate, missing=0.0),
+    )
 
 
 @cache

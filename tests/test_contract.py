@@ -63,7 +63,6 @@ ROWS = [
     Row("kalman_iterated", partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0)),
     Row("slam", tiny, differentiable=False, factor=1e5),
     Row("particle_bootstrap", particle_arm, differentiable=False),
-    Row("deflection_bootstrap", partial(bent_arm, deflection.bootstrap, FEW), differentiable=False),
     Row("deflection_guided", partial(bent_arm, deflection.guided, FEW), differentiable=False),
     Row("deflection_joints", hanging, differentiable=False),
     Row(

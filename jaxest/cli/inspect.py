@@ -70,7 +70,9 @@ def _robot(file: Path, json: bool) -> Answer:
 
     robot = load(file)
     facts = robot_view.describe(robot)
-    text = deflection_config.of_robot([joint["name"] for joint in facts["joints"]], facts["frames"])
+    led = {robot.joint_names[joint] for joint, _ in robot.topology.couplings}
+    kinds = {joint["name"]: joint["kind"] for joint in facts["joints"] if joint["name"] not in led}
+    text = deflection_config.of_robot(kinds, facts["frames"])
     if not json:
         out = console()
         robot_view.show(facts, robot_view.sites_of(robot), out)

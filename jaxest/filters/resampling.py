@@ -283,7 +283,7 @@ def _ancestors(ends: Array, count: int) -> Array:
 
 def _resampled(log_weights: ArrayLike, ancestors: Array) -> Resampled:
     scaled, _, _ = normalize(log_weights)
-    kept = scaled[ancestors]
+    kept = scaled.at[ancestors].get(mode="promise_in_bounds", wrap_negative_indices=False)
     equal = -jnp.log(jnp.asarray(ancestors.shape[0], kept.dtype))
     return Resampled(ancestors, equal + (kept - jax.lax.stop_gradient(kept)))
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxest.distributions import von_mises
+from jaxest.kinematics.components import half_sincos
 from jaxest.kinematics.robot import HINGE
 from jaxest.manifolds import circle
 from jaxest.sensors._masked import only, shown
@@ -49,7 +50,7 @@ def log_prob(params: Params, reading: Reading, angles: Array) -> Array:
     value, valid = shown(reading, angles)
     concentration = jnp.asarray(params.concentration, angles.dtype)
     error = only(valid, value - predict(params, angles))
-    s = jnp.sin(circle.wrap(error) / 2)
+    s, _ = half_sincos(circle.wrap(error))
     peak = von_mises.log_prob(jnp.zeros((), angles.dtype), 0.0, concentration)
     return jnp.sum(only(valid, -2 * concentration * s * s + peak))
 
@@ -57,17 +58,17 @@ def log_prob(params: Params, reading: Reading, angles: Array) -> Array:
 def residual(params: Params, reading: Reading, angles: Array) -> Array:
     """Return (n,) numbers with log-density -|r|^2 / 2 less a constant, 0 for those missing; arguments as `log_prob`."""
     value, valid = shown(reading, angles)
-    half = only(valid, circle.wrap(value - predict(params, angles))) / 2
-    return 2 * jnp.sqrt(jnp.asarray(params.concentration, angles.dtype)) * jnp.sin(half)
+    s, _ = half_sincos(only(valid, circle.wrap(value - predict(params, angles))))
+    return 2 * jnp.sqrt(jnp.asarray(params.concentration, angles.dtype)) * s
 
 
 def rows(params: Params, reading: Reading, angles: Array, jacobian: Array) -> tuple[Array, Array]:
     """Return the residual (n,) and its derivative (n, d), given that of the angles (n, d)."""
     value, valid = shown(reading, angles)
-    half = only(valid, circle.wrap(value - predict(params, angles))) / 2
+    s, c = half_sincos(only(valid, circle.wrap(value - predict(params, angles))))
     root = jnp.sqrt(jnp.asarray(params.concentration, angles.dtype))
-    slope = only(valid, -root * jnp.cos(half))
-    return 2 * root * jnp.sin(half), slope[:, None] * jacobian
+    slope = only(valid, -root * c)
+    return 2 * root * s, slope[:, None] * jacobian
 
 
 def precision(params: Params) -> ArrayLike:

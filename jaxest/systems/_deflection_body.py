@@ -112,7 +112,12 @@ def _view(look: Look, frames: Frames, x: PyTree) -> Any:
 
 
 def _frames(frames: Frames, rows: Sequence[int]) -> Frames:
-    return Frames(*(jnp.stack([values[i] for i in rows]) for values in frames))
+    # Component by component, as kinematics lays them out and sensors take them apart: XLA sees through the stacks then.
+    def picked(values: Array) -> Array:
+        components = [values[:, i] for i in range(values.shape[1])]
+        return jnp.stack([jnp.stack([x[i] for x in components]) for i in rows])
+
+    return Frames(*(picked(values) for values in frames))
 
 
 def read(body: Body, params: PyTree, measurement: PyTree) -> tuple[Array, Array]:

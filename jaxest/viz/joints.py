@@ -1,6 +1,6 @@
 """A picture of joint angles over time."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ POINTS = 3000  # more do not fit on the paper
 
 
 class Lines(NamedTuple):
-    """One joint's lines, each (T,) deg or None."""
+    """One joint's lines, each (T,) deg or mm, or None."""
 
     mean: Any
     lower: Any
@@ -32,6 +32,7 @@ def draw(
     reference: NDArray[Any] | None = None,
     truth: NDArray[Any] | None = None,
     title: str = "",
+    slides: int = 0,
 ) -> None:
     """Draw joint angles with their 95 % band and write the picture.
 
@@ -47,14 +48,17 @@ def draw(
         reference: (T, d) rad, what encoders read, NaN where they did not.
         truth: (T, d) rad, NaN where unknown.
         title: line above the picture.
+        slides: how many of the last joints are slides, m.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     pick = slice(None, None, max(1, len(time) // POINTS))
     time = np.asarray(time)[pick] - np.asarray(time)[0]
-    mean, lower, upper = (np.rad2deg(np.asarray(x, float)[pick]) for x in (mean, lower, upper))
-    read, true = (None if x is None else np.rad2deg(np.asarray(x, float)[pick]) for x in (reference, truth))
+    turning = np.arange(len(names)) < len(names) - slides
+    scale = np.where(turning, np.rad2deg(1.0), 1e3)
+    mean, lower, upper = (np.asarray(x, float)[pick] * scale for x in (mean, lower, upper))
+    read, true = (None if x is None else np.asarray(x, float)[pick] * scale for x in (reference, truth))
     columns = 1 if read is None else 2
     figure = Figure(figsize=(5 + 4 * columns, 1.6 * len(names) + 0.8), layout="constrained")
     FigureCanvasAgg(figure)
@@ -62,11 +66,12 @@ def draw(
     figure.suptitle(title, fontsize=11, x=0.01, ha="left")
     for j, name in enumerate(names):
         now = Lines(*(None if x is None else x[:, j] for x in (mean, lower, upper, read, true)))
-        _panel(axes[j, 0], time, now)
-        axes[j, 0].set_ylabel(f"{name} [deg]")
+        beside = _beside if turning[j] else lambda value, other: value
+        _panel(axes[j, 0], time, now, beside)
+        axes[j, 0].set_ylabel(f"{name} [{'deg' if turning[j] else 'mm'}]")
         if now.read is not None:
             zero = np.where(np.isfinite(now.read), now.read, np.nan)
-            _panel(axes[j, 1], time, Lines(*(None if x is None else _beside(x - zero, 0.0) for x in now)))
+            _panel(axes[j, 1], time, Lines(*(None if x is None else beside(x - zero, 0.0) for x in now)), beside)
     axes[0, 0].legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=4, fontsize=8, frameon=False)
     if read is not None:
         axes[0, 1].set_title("from the encoder's reading", fontsize=9, loc="left")
@@ -75,12 +80,12 @@ def draw(
     figure.savefig(path, dpi=110)
 
 
-def _panel(axis: Any, time: NDArray[Any], now: Lines) -> None:
+def _panel(axis: Any, time: NDArray[Any], now: Lines, beside: Callable[..., Any]) -> None:
     axis.fill_between(time, now.lower, now.upper, color=INK, alpha=0.18, linewidth=0, label="95 % band")
     if now.read is not None:
-        axis.plot(time, _beside(now.read, now.mean), color=READ, linestyle=":", linewidth=1.4, label="encoder")
+        axis.plot(time, beside(now.read, now.mean), color=READ, linestyle=":", linewidth=1.4, label="encoder")
     if now.true is not None:
-        axis.plot(time, _beside(now.true, now.mean), color=TRUTH, linewidth=1.6, label="truth")
+        axis.plot(time, beside(now.true, now.mean), color=TRUTH, linewidth=1.6, label="truth")
     axis.plot(time, now.mean, color=INK, linewidth=0.8, label="estimate")
     axis.spines[["top", "right"]].set_visible(False)
     axis.grid(alpha=0.25, linewidth=0.6)

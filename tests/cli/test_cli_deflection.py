@@ -5,6 +5,8 @@ import tomllib
 
 import numpy as np
 import pytest
+from deflection_models import CRANE
+from scipy.spatial.transform import Rotation
 
 from jaxest import models
 from jaxest.cli.methods import deflection_config
@@ -182,6 +184,46 @@ def test_the_first_config_of_robot_and_log_are_accepted(invoke, log, tmp_path):
         found = deflection_config.sensors(table)
         assert [one.sensor.name for one in found][:3] == ["encoders", "imu2", "imu3"]
         assert found[1].sensor.frames == ("site:imu2",)
+
+
+def test_slides_and_balls_are_estimated_where_they_are_named(invoke, refused, tmp_path):
+    """The crane stands still, bent; its first config, with the marker's stream, is enough."""
+    (tmp_path / "crane.xml").write_text(CRANE)
+    text = json.loads(invoke("inspect", "crane.xml", "--json").stdout)["config"]
+    assert 'joints = ["boom", "rail", "wrist"]' in text
+    assert '"drift"' not in text
+    n, turn = 40, Rotation.from_euler("xyz", [0.2, -0.1, 0.3])
+    lean = Rotation.from_euler("y", 0.4)
+    tip = np.array([0.1, 0, 2]) + lean.apply([0.4, 0, 0]) + (lean * turn).apply([0.2, 0.05, 0])
+    time = np.arange(n) / 10
+    streams = {
+        "joint_position": Stream(time, np.tile([0.09, 0.35], (n, 1)), "rad", names=("rail", "boom")),
+        "imu/orientation": Stream(time, np.tile(lean.as_quat()[[3, 0, 1, 2]], (n, 1)), "1"),
+        "cup/orientation": Stream(time, np.tile((lean * turn).as_quat()[[3, 0, 1, 2]], (n, 1)), "1"),
+        "tip/position": Stream(time, np.tile(tip, (n, 1)), "m"),
+        "joints": Stream(time, np.tile([0.1, 0.4], (n, 1)), "rad", names=("rail", "boom")),
+    }
+    write(SensorLog(streams), tmp_path / "log.npz")
+    cup = '\n[deflection.sensors.cup]\nkind = "link_orientation"\nstream = "cup/orientation"\nframe = "cup"\n'
+    text = text.replace("[0.01, 0.01, 0.01]", "[1e-6, 1e-6, 1e-6]")
+    (tmp_path / "c.toml").write_text(text + cup + "lam = [0, -800, -800, -800]\n")
+    words = ("estimate", "log.npz", "-m", "deflection", "--robot", "crane.xml", "--config", "c.toml", "-o", "out")
+    result = invoke(*words, "--json")
+    assert result.exit_code == 0, result.output
+    rows = {(row["metric"], row["condition"]): row for row in json.loads(result.stdout)["rows"]}
+    assert rows["error to joints, RMS", "rail"]["unit"] == "mm"
+    assert rows["error to joints, RMS", "rail"]["value"] < 5 < 9 < rows["from the reading, RMS", "rail"]["value"]
+    assert rows["error to joints, RMS", "boom"]["value"] < 1
+    assert rows["half 95 % interval", "wrist x"]["unit"] == "deg"
+    found = read(tmp_path / "out" / "estimate.npz").streams
+    assert (found["joints"].names, found["slides"].names, found["slides"].unit) == (("boom",), ("rail",), "m")
+    away = turn.inv() * Rotation.from_quat(found["wrist/orientation"].value[-1, [1, 2, 3, 0]])
+    assert np.rad2deg(away.magnitude()) < 2
+    assert found["wrist/orientation_covariance"].value.shape == (n, 3, 3)
+    (tmp_path / "c.toml").write_text(text.replace('"wrist"]', '"drift"]'))
+    assert "'drift' is a free joint" in refused(*words, "--force")
+    (tmp_path / "c.toml").write_text(text.replace('"rail", ', ""))
+    assert "sensors.slides" in (message := refused(*words, "--force")) and "no slide is estimated" in message
 
 
 def test_a_first_config_gives_each_sensor_a_table_and_a_likely_frame():

@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.cli.methods import SIZE, Outcome, Request, deflection_streams
+from jaxest.cli.methods import SIZE, Outcome, Request, deflection_joints, deflection_streams
 from jaxest.cli.methods.deflection_config import NOISES, PROPOSALS, Described, place, schema, sensors
-from jaxest.io import SensorLog, Stream, to_si
+from jaxest.cli.methods.deflection_joints import Joints
+from jaxest.io import SensorLog, to_si
 from jaxest.io.log import stream, where
 from jaxest.io.report import Row
 from jaxest.types import OK, InputError, unknown_name
@@ -23,13 +24,15 @@ class Estimated(NamedTuple):
     """What the filter says, NumPy arrays with a leading time axis."""
 
     mean: NDArray[np.float64]
-    """(T, d) rad."""
+    """(T, c) rad and m, of hinges and slides."""
+    balls: NDArray[np.float64]
+    """(T, b, 4) wxyz."""
     covariance: NDArray[np.float64]
-    """(T, d, d) rad2."""
+    """(T, d, d) rad2, m2, ..., three coordinates for each ball."""
     lower: NDArray[np.float64]
-    """(T, d) rad."""
+    """(T, d) lower end of the 95 % interval, from the mean."""
     upper: NDArray[np.float64]
-    """(T, d) rad."""
+    """(T, d) upper end."""
     ess: NDArray[np.float64]
     """(T,)."""
     evidence: float
@@ -46,8 +49,8 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
         request: the robot, and the config's table `[deflection]`.
 
     Returns:
-        Streams `joints`, `joints_covariance`, `joints_lower` and `joints_upper` (95 %), a row for each stamp. Errors,
-        if the log carries its own truth (a stream `joints`, or the config's `truth`).
+        Streams as `deflection_joints.streams` names them, a row for each stamp. Errors, if the log carries its own
+        truth (a stream `joints`, or the config's `truth`).
 
     Raises:
         InputError: no robot, a name that does not exist, readings that cannot be.
@@ -60,36 +63,23 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
         raise InputError("--sensors: the deflection's sensors are those of the config; leave tables out there")
     settings, log = request.settings, to_si(log)
     described, robot = sensors(settings), kinematics.load(request.robot)
-    names = joint_names(robot, settings)
-    described = [deflection_streams.on_robot(log, robot, names, one) for one in described]
-    steps, measurements, notes = deflection_streams.measurements(log, robot, names, described, request.nan)
-    found = _run(robot, names, described, settings, measurements)
-    meta = {"kinematics": "effective: a rigid robot with these angles stands as the real one does"}
-    written = {
-        "joints": Stream(steps.time, found.mean, "rad", names=names, extra=meta),
-        "joints_covariance": Stream(steps.time, found.covariance, "rad2", names=names),
-        "joints_lower": Stream(steps.time, found.lower, "rad", names=names, extra={"probability": 0.95}),
-        "joints_upper": Stream(steps.time, found.upper, "rad", names=names, extra={"probability": 0.95}),
-    }
-    truth, known = _truth(log, settings, steps.time, names)
-    reference = deflection_streams.reference(described, measurements, names)
-    rows = _rows(steps.time, names, found, truth, reference, known)
+    joints = deflection_joints.chosen(robot, settings)
+    described = [deflection_streams.on_robot(log, robot, joints, one) for one in described]
+    steps, measurements, notes = deflection_streams.measurements(log, robot, joints, described, request.nan)
+    found = _run(robot, joints, described, settings, measurements)
+    truth, known = _truth(log, settings, steps.time, joints)
+    reference = deflection_streams.reference(described, measurements, joints)
+    rows = _rows(steps.time, joints, found, truth, reference, known)
 
     def draw(path: Path, title: str) -> None:
-        from jaxest.viz import joints
+        from jaxest.viz import joints as picture
 
-        joints.draw(path, steps.time, found.mean, found.lower, found.upper, names=names, reference=reference,
-                    truth=truth, title=title)  # fmt: skip
+        lower, upper = (found.mean + end[:, : found.mean.shape[1]] for end in (found.lower, found.upper))
+        picture.draw(path, steps.time, found.mean, lower, upper, names=joints.numbers, reference=reference,
+                     truth=truth, title=title, slides=len(joints.of("slide")))  # fmt: skip
 
-    return Outcome(SensorLog(written, log.source), rows, notes, _refused(found), draw)
-
-
-def joint_names(robot: Any, settings: Mapping[str, Any]) -> tuple[str, ...]:
-    """Names of the joints that are estimated."""
-    from jaxest.sensors.joints import chosen
-
-    numbers, _ = chosen(robot, settings.get("joints"))
-    return tuple(robot.joint_names[j] for j in numbers)
+    written = SensorLog(deflection_joints.streams(joints, steps.time, found), log.source)
+    return Outcome(written, rows, notes, _refused(found), draw if joints.numbers else None)
 
 
 def _choice(settings: Mapping[str, Any], key: str, choices: Sequence[str]) -> str:
@@ -105,12 +95,14 @@ def _number(settings: Mapping[str, Any], key: str, size: int, *, signed: bool = 
     good = value.dtype.kind in "if" and value.shape in ((), (size,)) and np.isfinite(value).all()
     if not good or (not signed and (value < 0).any()):
         sign = "" if signed else ", 0 or more"
-        raise InputError(f"[deflection] {key}: got {settings[key]}, expected a number{sign}, or one for each joint")
+        raise InputError(
+            f"[deflection] {key}: got {settings[key]}, expected a number{sign}, or one for each of {size} coordinates"
+        )
     return value.astype(np.float32)
 
 
 def system(
-    robot: Any, names: tuple[str, ...], described: list[Described], settings: Mapping[str, Any], **options: Any
+    robot: Any, joints: Joints, described: list[Described], settings: Mapping[str, Any], **options: Any
 ) -> tuple[Any, Any]:
     """Return the filter that the config describes, and its parameters in float32; `options` go to `build`."""
     import jax
@@ -122,70 +114,78 @@ def system(
     if count < 1:
         raise InputError(f"[deflection] particles: got {count}, expected at least 1")
     noise = {"von_mises": deflection.von_mises, "gaussian": deflection.gaussian}[_choice(settings, "noise", NOISES)]
-    given = {key: _number(settings, key, len(names), signed=key in ("start", "compliance"))
+    given = {key: _number(settings, key, joints.size, signed=key in ("start", "compliance"))
              for key in ("walk", "prior", "start", "compliance") if key in settings}  # fmt: skip
     built = deflection.build(
-        robot, [one.sensor for one in described], joints=names, particles=count, noise=noise, sag="compliance" in given,
-        proposal={"guided": deflection.guided, "bootstrap": deflection.bootstrap}[proposal], **options,
+        robot, [one.sensor for one in described], joints=joints.names, particles=count, noise=noise,
+        sag="compliance" in given, proposal={"guided": deflection.guided, "bootstrap": deflection.bootstrap}[proposal],
+        **options,
     )  # fmt: skip
     return built, jax.tree.map(lambda x: np.asarray(x, np.float32), built.default_params._replace(**given))
 
 
 def _run(
-    robot: Any, names: tuple[str, ...], described: list[Described], settings: Mapping[str, Any], measurements: Any
+    robot: Any, joints: Joints, described: list[Described], settings: Mapping[str, Any], measurements: Any
 ) -> Estimated:
     import jax
 
     from jaxest.filters import run
+    from jaxest.kinematics import space
     from jaxest.systems import deflection
 
-    built, params = system(robot, names, described, settings)
+    built, params = system(robot, joints, described, settings)
     key = jax.random.key(settings.get("seed", 0))
     _, history = run(built.step, params, built.init(params, key=key), measurements, key=key,
                      history=deflection.with_interval)  # fmt: skip
     info = history.info
-    mean, covariance, ess, evidence = (
-        np.asarray(x, np.float64) for x in (info.mean, info.covariance, info.ess, info.log_likelihood)
+    parts = info.mean if isinstance(info.mean, space.Joints) else space.Joints(info.mean)
+    numbers = [x for x in (parts.hinge, parts.slide) if x is not None]
+    mean = np.concatenate([np.zeros((len(info.ess), 0)), *numbers], axis=1)
+    balls = np.zeros((len(mean), 0, 4)) if parts.ball is None else parts.ball
+    balls, covariance, lower, upper, ess, evidence = (
+        np.asarray(x, np.float64)
+        for x in (balls, info.covariance, history.lower, history.upper, info.ess, info.log_likelihood)
     )
-    lower, upper = mean + np.asarray(history.lower), mean + np.asarray(history.upper)
-    return Estimated(mean, covariance, lower, upper, ess, float(evidence.sum()), np.asarray(info.status))
+    return Estimated(mean, balls, covariance, lower, upper, ess, float(evidence.sum()), np.asarray(info.status))
 
 
 def _truth(
-    log: SensorLog, settings: Mapping[str, Any], time: NDArray[np.float64], names: tuple[str, ...]
+    log: SensorLog, settings: Mapping[str, Any], time: NDArray[np.float64], joints: Joints
 ) -> tuple[NDArray[np.float64] | None, str]:
-    """The log's own angles (T, d) at the estimate's times, NaN where unknown, and their stream."""
+    """The log's own angles and ways (T, c) at the estimate's times, NaN where unknown, and their stream."""
     name = settings.get("truth", "joints")
     if "truth" not in settings and name not in log.streams:
         return None, ""
     item = stream(log, name)
-    columns = deflection_streams.columns(item, f"{where(log)}stream {name!r}", names)
-    value = np.full((len(time), len(names)), np.nan)
+    columns = deflection_streams.columns(item, f"{where(log)}stream {name!r}", joints.numbers)
+    value = np.full((len(time), len(joints.numbers)), np.nan)
     for at, column in columns.items():
-        angles = np.unwrap(np.asarray(item.value, np.float64).reshape(len(item.time), -1)[:, column])
+        given = np.asarray(item.value, np.float64).reshape(len(item.time), -1)[:, column]
+        angles = np.unwrap(given) if joints.hinges[at] else given
         value[:, at] = np.interp(time, item.time, angles, left=np.nan, right=np.nan)
     return value, name
 
 
 def _rows(
-    time: NDArray[np.float64], names: tuple[str, ...], found: Estimated, truth: Any, reference: Any, known: str
+    time: NDArray[np.float64], joints: Joints, found: Estimated, truth: Any, reference: Any, known: str
 ) -> list[Row]:
     rows = [Row(SIZE[0], "", float(len(time)), "1"), Row(SIZE[1], "", float(time[-1] - time[0]), "s")]
-    half = np.rad2deg(found.upper - found.lower) / 2
-    rows += [Row("half 95 % interval", name, float(np.nanmean(half[:, j])), "deg", n=len(time))
-             for j, name in enumerate(names)]  # fmt: skip
+    half = (found.upper - found.lower) / 2
+    rows += [Row("half 95 % interval", name, scale * float(np.nanmean(half[:, j])), unit, n=len(time))
+             for j, (name, unit, scale) in enumerate(joints.coordinates)]  # fmt: skip
     for what, other in (("from the reading, RMS", reference), (f"error to {known}, RMS", truth)):
         if other is None:
             continue
-        away = _wrapped(found.mean - other)
-        for j, name in enumerate(names):
+        away = deflection_joints.wrapped(joints, found.mean - other)
+        for j, (name, unit, scale) in enumerate(joints.coordinates[: away.shape[1]]):
             there = np.isfinite(away[:, j])
             if there.any():
-                size = float(np.rad2deg(np.sqrt(np.mean(away[there, j] ** 2))))
-                rows.append(Row(what, name, size, "deg", n=int(there.sum())))
+                size = scale * float(np.sqrt(np.mean(away[there, j] ** 2)))
+                rows.append(Row(what, name, size, unit, n=int(there.sum())))
     if truth is not None:
-        away = _wrapped(truth - found.mean)
-        inside = (away >= found.lower - found.mean) & (away <= found.upper - found.mean)
+        away = deflection_joints.wrapped(joints, truth - found.mean)
+        count = away.shape[1]
+        inside = (away >= found.lower[:, :count]) & (away <= found.upper[:, :count])
         there = np.isfinite(away)
         if there.any():
             rows.append(Row("truth inside 95 % interval", "all joints", 100 * float(inside[there].mean()), "%"))
@@ -194,13 +194,13 @@ def _rows(
     return rows
 
 
-def _wrapped(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    return (x + np.pi) % (2 * np.pi) - np.pi
-
-
 def _refused(found: Estimated) -> list[str]:
     reasons = []
-    if not np.isfinite(found.mean).all() or not np.isfinite(found.covariance).all():
+    if (
+        not np.isfinite(found.mean).all()
+        or not np.isfinite(found.balls).all()
+        or not np.isfinite(found.covariance).all()
+    ):
         reasons.append("the estimate is not finite")
     bad = float(np.mean(found.status != OK))
     if bad > VANISHED:

@@ -136,23 +136,27 @@ def _numeric(value: Any) -> bool:
     return bool(flat) and all(isinstance(x, int | float) and not isinstance(x, bool) for x in flat)
 
 
-def of_robot(joints: Sequence[str], frames: Sequence[str]) -> str:
+def of_robot(joints: Mapping[str, str], frames: Sequence[str]) -> str:
     """Write a first config from a robot's names.
 
     Args:
-        joints: names of the joints.
+        joints: kinds of the joints by their names.
         frames: names of the frames.
 
     Returns:
-        TOML text: encoders, an orientation for each site that sounds like an IMU, a position for one at the end.
+        TOML text: encoders, an orientation for each site that sounds like an IMU, a position for one at the end. Slides
+        and balls are named, as only hinges are estimated otherwise.
     """
+    hinges, slides, balls = ([n for n, kind in joints.items() if kind == k] for k in ("hinge", "slide", "ball"))
+    named = f"joints = {json.dumps([*hinges, *slides, *balls])}\n" if slides or balls else ""
     sites = [frame.removeprefix("site:") for frame in frames if frame.startswith("site:")]
     imus = [site for site in sites if "imu" in site.lower()]
     tips = [s for s in sites if any(word in s.lower() for word in TIPS)]
-    found = [_encoders("joint_position", joints)]
+    found = [_encoders("joint_position", hinges)] if hinges else []
+    found += [_slides("joint_position", slides)] if slides else []
     found += [_table(imu, "link_orientation", f"{imu}/orientation", f"site:{imu}") for imu in imus]
     found += [_table(tip, "link_position", f"{tip}/position", f"site:{tip}") for tip in tips]
-    return "[deflection]\n\n" + "\n".join(found)
+    return f"[deflection]\n{named}\n" + "\n".join(found)
 
 
 def of_log(log: SensorLog) -> str:
@@ -212,6 +216,14 @@ def _encoders(stream: str, joints: Sequence[str]) -> str:
     return (
         f'[deflection.sensors.encoders]\nkind = "joint_angle"\nstream = {json.dumps(stream)}\n{named}'
         "concentration = 15.0  # 1/rad^2, how far the robot may bend from what they read\n"
+    )
+
+
+def _slides(stream: str, joints: Sequence[str]) -> str:
+    return (
+        f'[deflection.sensors.slides]\nkind = "slide_position"\nstream = {json.dumps(stream)}\n'
+        f"# joints = {json.dumps(list(joints))}  # of the columns, in this order\n"
+        "variance = 1e-4  # m^2, how far slides may be from what is read\n"
     )
 
 

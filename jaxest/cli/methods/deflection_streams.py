@@ -6,22 +6,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.cli.methods.deflection_config import RAW, Described, place
+from jaxest.cli.methods.deflection_joints import Joints
 from jaxest.io import SensorLog, Stream, ticks
 from jaxest.io.log import finite_rows, refuse_nan, stream, where
 from jaxest.types import InputError, Reading, unknown_name
 
 UNIT_LENGTH = 0.02  # what a recorded unit quaternion may be off
 FAR, NEAR = 0.6, 0.25  # rad: tilts that a posture cannot explain, and that it can
+ENCODERS = ("joint_angle", "slide_position")  # kinds that read joints
 REMEDY = 'nan = "missing" in a config'
 
 
-def on_robot(log: SensorLog, robot: Any, names: tuple[str, ...], one: Described) -> Described:
+def on_robot(log: SensorLog, robot: Any, joints: Joints, one: Described) -> Described:
     """Check a sensor's frames, and find its joints among the columns of its stream.
 
     Args:
         log: the log.
         robot: the robot.
-        names: of the estimated joints.
+        joints: the estimated joints.
         one: the sensor.
 
     Returns:
@@ -32,7 +34,8 @@ def on_robot(log: SensorLog, robot: Any, names: tuple[str, ...], one: Described)
     """
     from jaxest.sensors import KINDS
 
-    if KINDS[one.sensor.kind].FRAMES:
+    kind = KINDS[one.sensor.kind]
+    if kind.FRAMES:
         for frame in one.sensor.frames:
             if frame not in robot.frame_names:
                 raise InputError(f"{place(one.sensor.name)}: {unknown_name('frame', frame, robot.frame_names)}")
@@ -42,6 +45,9 @@ def on_robot(log: SensorLog, robot: Any, names: tuple[str, ...], one: Described)
     for name in one.sensor.frames:
         if name not in robot.joint_names:
             raise InputError(f"{place(one.sensor.name)}: {unknown_name('joint', name, robot.joint_names)}")
+    names = joints.of(kind.JOINTS)
+    if not names:
+        raise InputError(f"{place(one.sensor.name)}: no {kind.JOINTS} is estimated; name it in joints = [...]")
     found = columns(item._replace(names=tuple(given)), f"{where(log)}stream {one.stream!r}", names)
     sensor = one.sensor._replace(frames=tuple(names[at] for at in found))
     return one._replace(sensor=sensor, columns=tuple(found.values()))
@@ -77,14 +83,14 @@ def columns(item: Stream, spot: str, names: tuple[str, ...]) -> dict[int, int]:
 
 
 def measurements(
-    log: SensorLog, robot: Any, names: tuple[str, ...], described: list[Described], nan: str
+    log: SensorLog, robot: Any, joints: Joints, described: list[Described], nan: str
 ) -> tuple[Any, Any, list[str]]:
     """Merge the sensors' streams into steps.
 
     Args:
         log: the log in SI units.
         robot: the robot.
-        names: of the estimated joints.
+        joints: the estimated joints.
         described: the sensors, from `on_robot`.
         nan: `error`, or `missing`.
 
@@ -104,7 +110,7 @@ def measurements(
             notes.append(f"{name}: orientation from raw readings by {one.attitude}")
         else:
             streams[name] = _read(log, one, nan)
-    _right_order(log, robot, names, described, streams)
+    _right_order(log, robot, joints.names, described, streams)
     fastest = max(streams.values(), key=lambda item: len(item.time)).time
     tolerance = float(np.median(np.diff(fastest))) / 2 if len(fastest) > 1 else 0.0
     steps = ticks(SensorLog(streams, log.source), tolerance=tolerance, nan="invalid", dtype=np.float32)
@@ -233,19 +239,19 @@ def _tilt(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     return float(np.median(np.arccos(np.clip(np.sum(one * other, axis=1), -1, 1))))
 
 
-def reference(described: list[Described], recorded: Any, names: tuple[str, ...]) -> NDArray[np.float64] | None:
-    """Return what encoders read (T, d) rad, NaN where they did not; None without encoders.
+def reference(described: list[Described], recorded: Any, joints: Joints) -> NDArray[np.float64] | None:
+    """Return what encoders read (T, c) rad and m, NaN where they did not; None without encoders.
 
     Args:
         described: the sensors.
         recorded: measurements with a leading time axis.
-        names: of the estimated joints.
+        joints: the estimated joints, c of them hinges and slides.
     """
-    for one in described:
-        if one.sensor.kind == "joint_angle":
-            reading: Reading = getattr(recorded, one.sensor.name)
-            value = np.full((len(reading.value), len(names)), np.nan)
-            at = [names.index(name) for name in one.sensor.frames]
-            value[:, at] = np.where(np.asarray(reading.valid)[:, None], np.asarray(reading.value), np.nan)
-            return value
-    return None
+    encoders = [one for one in described if one.sensor.kind in ENCODERS]
+    value = np.full((len(recorded.dt), len(joints.numbers)), np.nan)
+    for one in reversed(encoders):  # the first counts where several read a joint
+        reading: Reading = getattr(recorded, one.sensor.name)
+        at = [joints.numbers.index(name) for name in one.sensor.frames]
+        there = np.broadcast_to(np.asarray(reading.valid).reshape(len(value), -1), (len(value), len(at)))
+        value[:, at] = np.where(there, np.asarray(reading.value), value[:, at])
+    return value if encoders else None

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxest.cli.methods import Request, deflection, deflection_streams
+from jaxest.cli.methods import Request, deflection, deflection_joints, deflection_streams
 from jaxest.cli.methods.deflection_config import sensors
 from jaxest.cli.tunable import Source, Tunable, constrained, plain, refuse_goal
 from jaxest.io import to_si
@@ -30,15 +30,15 @@ def prepare(sources: Sequence[Source], request: Request, goal: str, free: Mappin
     if request.robot is None:
         raise InputError("the method 'deflection' needs a robot: --robot FILE (MJCF or URDF)")
     settings, robot = request.settings, kinematics.load(request.robot)
-    names, described = deflection.joint_names(robot, settings), sensors(settings)
+    joints, described = deflection_joints.chosen(robot, settings), sensors(settings)
     recordings = []
     for source in sources:
         log = to_si(source.log)
-        found = [deflection_streams.on_robot(log, robot, names, one) for one in described]
-        _, measurements, _ = deflection_streams.measurements(log, robot, names, found, request.nan)
+        found = [deflection_streams.on_robot(log, robot, joints, one) for one in described]
+        _, measurements, _ = deflection_streams.measurements(log, robot, joints, found, request.nan)
         recordings.append(tuning.recording(measurements))
     resample = tuning.fading(stratified, FADING)
-    system, params = deflection.system(robot, names, found, settings, resample=resample)
+    system, params = deflection.system(robot, joints, found, settings, resample=resample)
     default = [p for p in tuning.paths(params) if p == "walk" or p.rsplit(".", 1)[-1] in NOISY]
     space = tuning.space(params, constrained(free, default))
     shortest = min(len(one.counts) for one in recordings)

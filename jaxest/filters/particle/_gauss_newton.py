@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.filters.particle import _cholesky
-from jaxest.filters.particle._flat import flat
+from jaxest.filters.particle._flat import carried
 from jaxest.filters.particle.proposal import Rows
 from jaxest.manifolds.base import Manifold
 from jaxest.types import Array, ArrayLike, PyTree
@@ -114,10 +114,7 @@ def linearized(
     def one(params: PyTree, mean: PyTree, measurement: PyTree, v: Array) -> tuple[Array, Array]:
         x = manifold.retract(mean, v)
         value, jacobian = rows(params, x, measurement)
-        if not flat(manifold):
-            turn = jax.jacfwd(lambda v: manifold.local(x, manifold.retract(mean, v)))(v)
-            jacobian = jnp.matmul(jacobian, turn, precision=jax.lax.Precision.HIGHEST)
-        return value, jacobian
+        return value, carried(manifold, jacobian, mean, v)
 
     value, jacobian = jax.vmap(one, (None, 0, None, 1), out_axes=-1)(*given, at)
     if jacobian.shape != (value.shape[0], *at.shape):

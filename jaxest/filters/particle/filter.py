@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxest.filters.kalman.model import clean
-from jaxest.filters.particle.guided import Guided, take
+from jaxest.filters.particle.guided import Guided, picked, take
 from jaxest.filters.particle.proposal import Proposal
-from jaxest.filters.particle.summary import mean_and_covariance
-from jaxest.filters.resampling import Resampled, Resampler, effective_sample_size, normalize, systematic
+from jaxest.filters.particle.summary import weighted
+from jaxest.filters.resampling import Resampled, Resampler, normalize, systematic
 from jaxest.manifolds.base import Manifold
 from jaxest.types import NON_FINITE, OK, WEIGHTS_VANISHED, Array, ArrayLike, PyTree, Step
 
@@ -118,7 +118,8 @@ def _step(
     chosen, before, moved, increments, foresight = _moved(model, params, state, measurement, choice, motion)
     particles, increments = _finite(before, moved, increments.astype(state.log_weights.dtype))
     log_weights, log_likelihood, vanished = normalize(chosen.log_weights + increments)
-    mean, covariance = mean_and_covariance(model.manifold, particles, log_weights)
+    weights = jnp.exp(log_weights)
+    mean, covariance = weighted(model.manifold, particles, weights)
     if foresight is not None:
         log_likelihood = log_likelihood + foresight.log_likelihood
         mean = _balanced(model.manifold, mean, foresight, chosen)
@@ -127,7 +128,7 @@ def _step(
         mean,
         covariance,
         log_likelihood,
-        effective_sample_size(log_weights),
+        1 / jnp.sum(weights * weights),
         chosen.ancestors if model.ancestors else None,
         status,
     )
@@ -144,16 +145,16 @@ def _moved(
     held = jax.lax.stop_gradient(state.particles)
     if not isinstance(model.propose, Guided):
         chosen = model.resample(choice, state.log_weights)
-        before = jax.tree.map(lambda x: x[chosen.ancestors], held)
+        before = jax.tree.map(partial(picked, chosen.ancestors), held)
         return chosen, before, *model.propose(params, before, measurement, motion), None
     ahead, plan = model.propose.look(params, held, measurement, state.index == 0)
     ahead = model.propose.heeded(ahead.astype(state.log_weights.dtype), state.log_weights)
     chosen = model.resample(choice, state.log_weights + ahead)
     chances, total, _ = normalize(state.log_weights + ahead)
-    before = jax.tree.map(lambda x: x[chosen.ancestors], held)
+    before = jax.tree.map(partial(picked, chosen.ancestors), held)
     moved, increments = model.propose.send(params, before, take(plan, chosen.ancestors), measurement, motion)
     foresight = _Foresight(total, jnp.exp(chances), model.propose.aims(plan))
-    return chosen, before, moved, increments - ahead[chosen.ancestors], foresight
+    return chosen, before, moved, increments - picked(chosen.ancestors, ahead), foresight
 
 
 def _balanced(manifold: Manifold, mean: PyTree, foresight: _Foresight, chosen: Resampled) -> PyTree:

@@ -197,11 +197,17 @@ def guided(
 
 def take(plan: Plan, ancestors: Array) -> Plan:
     """Return the plan (N) of those who go on, ancestors (N,)."""
-    first, last = (lambda x: x[ancestors]), (lambda x: x[..., ancestors])
+    first, last = partial(picked, ancestors), partial(picked, ancestors, axis=-1)
     prior = plan.prior._replace(**{name: last(getattr(plan.prior, name)) for name in ("start", "pull", "energy")})
     return plan._replace(
         centre=jax.tree.map(first, plan.centre), mode=last(plan.mode), factor=last(plan.factor), prior=prior
     )
+
+
+def picked(ancestors: Array, x: Array, axis: int = 0) -> Array:
+    """Return what an array has of the ancestors, which lie within it: checks would cost as much as the rest."""
+    index = (slice(None),) * (axis % x.ndim) + (ancestors,)
+    return x.at[index].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 def _prior(ours: Guided, params: PyTree, particles: PyTree, seen: PyTree, begins: Array) -> tuple[PyTree, Prior]:

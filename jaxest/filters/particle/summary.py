@@ -43,7 +43,11 @@ def mean_and_covariance(
     Raises:
         ValueError: a shape is wrong.
     """
-    weights = jnp.exp(normalize(log_weights)[0])
+    return weighted(manifold, particles, jnp.exp(normalize(log_weights)[0]), passes)
+
+
+def weighted(manifold: Manifold, particles: PyTree, weights: Array, passes: int | None = None) -> tuple[PyTree, Array]:
+    """Return what `mean_and_covariance` returns, from weights (N,) that sum to one."""
     differences = jax.vmap(manifold.local, (None, 0))
     mean = jax.tree.map(lambda x: x[jnp.argmax(weights)], particles)
     for _ in range((2 if flat(manifold) else 4) if passes is None else passes):
@@ -94,4 +98,4 @@ def _dot(a: Any, b: Any) -> Array:
     return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
 
-__all__ = ["Interval", "interval", "mean_and_covariance"]
+__all__ = ["Interval", "interval", "mean_and_covariance", "weighted"]
