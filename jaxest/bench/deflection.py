@@ -1,6 +1,6 @@
 """A live step of the deflection filter beside other people's particle filters on the same model."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import jax
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest import kinematics, models
-from jaxest.bench import deflection_peers
+from jaxest.bench import deflection_accuracy, deflection_peers
 from jaxest.bench.harness import Candidate, Progress, candidate, compare, compile_row, find_peer, race
 from jaxest.bench.robots import pinocchio_model
 from jaxest.io.report import Row
@@ -42,7 +42,7 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
         small: few particles.
 
     Yields:
-        Times per step, and times to compile.
+        Times per step, each filter's error of the posterior mean, and times to compile.
     """
     progress("deflection")
     robot = kinematics.load(models.path("arm"))
@@ -65,6 +65,10 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
             yield compare(
                 "live step", condition, found[name], found.get(peer), missing="" if peer in found else package
             )
+    if peers:
+        progress("deflection: accuracy")
+        filters = _means(robot, candidates, many)
+        yield from deflection_accuracy.rows(robot, SENSORS, filters, many, small)
     for name in ("bootstrap", "guided"):
         yield compile_row(f"live step, {name}", found[name])
 
@@ -83,8 +87,28 @@ def _peers(robot: Any, count: int) -> list[Candidate]:
         _, params, measurements = _problem(robot, count, deflection.bootstrap)
         first = jax.tree.map(lambda x: x[0], measurements)
         step, state = deflection_peers.cuthbert_filter(robot, SENSORS, (params, first), count)
-        found.append(Candidate(jitted, lambda: step(state)))
+        key = jax.random.key(1)
+        found.append(Candidate(jitted, lambda: step(state, key)))
     return found
+
+
+def _means(robot: Any, candidates: Sequence[Candidate], count: int) -> dict[str, Any]:
+    """The peers as filters that go on from step to step on the measurement of `deflection_accuracy`."""
+    filters = {one.name: one.call for one in candidates if one.name in PEERS}
+    name = list(PEERS)[2]
+    if name in filters:
+        params = _problem(robot, count, deflection.bootstrap)[1]
+        given = params, deflection_accuracy.still(SENSORS)
+        step, state = deflection_peers.cuthbert_filter(robot, SENSORS, given, count)
+        held = {"state": state, "key": jax.random.key(2)}
+
+        def advance() -> Any:
+            held["key"], own = jax.random.split(held["key"])
+            held["state"], mean = step(held["state"], own)
+            return mean
+
+        filters[name] = advance
+    return filters
 
 
 def _problem(robot: Any, count: int, proposal: Any) -> tuple[Any, Any, Any]:

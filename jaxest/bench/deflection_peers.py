@@ -2,7 +2,6 @@
 
 import importlib
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 import jax
@@ -86,7 +85,7 @@ def particles_filter(core: Any, count: int) -> Callable[[], Any]:
 
 
 def cuthbert_filter(robot: Any, sensors: tuple[Sensor, ...], given: tuple[Any, Any], count: int) -> tuple[Any, Any]:
-    """Return a jitted step of `cuthbert` with jaxest's likelihood, float32, and its first state.
+    """Return a jitted step `(state, key) -> (state, mean)` of `cuthbert` on our likelihood, float32; and a state.
 
     Args:
         robot: the packaged arm.
@@ -119,7 +118,7 @@ def cuthbert_filter(robot: Any, sensors: tuple[Sensor, ...], given: tuple[Any, A
         return after, jnp.arctan2(weights @ jnp.sin(after.particles), weights @ jnp.cos(after.particles))
 
     first = filtering.init_prepare(key=jax.random.key(0))._replace(model_inputs=measurement)
-    return partial(step, key=jax.random.key(1)), step(first, jax.random.key(1))[0]
+    return step, step(first, jax.random.key(1))[0]
 
 
 def _walked(random: np.random.Generator, x: NDArray[np.float64]) -> NDArray[np.float64]:

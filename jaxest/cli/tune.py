@@ -29,6 +29,7 @@ EXAMPLES = (
     "jaxest tune trial.npz -m orientation -c start.toml --free proportional_gain,integral_gain --starts 8",
     "jaxest tune a.npz b.npz -m deflection --robot arm.urdf -c sensors.toml --free walk,sensors.encoders.concentration",
 )
+DRAWN = 4, 4  # windows and keys for standard errors of a likelihood that is drawn; all data would take half an hour
 SHOWN = 12  # parameters that a picture has room for
 
 
@@ -173,8 +174,14 @@ def _search(
     )  # fmt: skip
     say("standard errors ...")
     whole = tuning.Problem(given.objective, given.space)
-    keys = jax.random.split(jax.random.fold_in(key, evaluations), 8) if noisy else None
-    return found, tuning.estimates(whole, found.point, tuning.curvature(whole, found.point, parts[0], keys))
+    if not noisy or given.windows is None:
+        return found, tuning.estimates(whole, found.point, tuning.curvature(whole, found.point, parts[0]))
+    pick, *keys = jax.random.split(jax.random.fold_in(key, evaluations), 1 + DRAWN[1])
+    windows = given.windows._replace(recordings=max(DRAWN[0], count))
+    part = tuning.sample_windows(parts[0], windows, pick)
+    worth = sum(len(one.counts) for one in given.recordings[:count]) / windows.length
+    curvature = tuning.curvature(whole, found.point, part, jax.numpy.stack(keys), worth)
+    return found, tuning.estimates(whole, found.point, curvature)
 
 
 def _scaled(line: str, given: Any) -> str:

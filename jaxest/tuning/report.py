@@ -49,7 +49,9 @@ class Estimate(NamedTuple):
     identified: bool
 
 
-def curvature(problem: Problem, z: Array, batch: Recording, keys: Array | None = None) -> Curvature:
+def curvature(
+    problem: Problem, z: Array, batch: Recording, keys: Array | None = None, worth: float | None = None
+) -> Curvature:
     """Return value, gradient, Hessian and the covariance that follows.
 
     The Hessian is the difference of gradients on both sides of the point, `STEP` away (`STEP_DRAWN` where they are
@@ -62,6 +64,8 @@ def curvature(problem: Problem, z: Array, batch: Recording, keys: Array | None =
         z: (n,) the point.
         batch: recordings (B, T, ...).
         keys: (k,) keys over which an objective that is drawn is averaged.
+        worth: how many recordings such as these a likelihood's data are, B if None: more where the batch is a sample of
+            windows of long recordings.
 
     Returns:
         The curvature.
@@ -81,7 +85,7 @@ def curvature(problem: Problem, z: Array, batch: Recording, keys: Array | None =
     spread = np.zeros_like(hessian)
     if len(keys) > 1:
         spread = np.cov(means, rowvar=False).reshape(hessian.shape) / len(keys)
-    middle, own = hessian / count, gradients[0]
+    middle, own = hessian / (count if worth is None else worth), gradients[0]
     if not problem.objective.likelihood:
         centred = own - own.mean(axis=0)
         middle = centred.T @ centred / max(count * (count - 1), 1)

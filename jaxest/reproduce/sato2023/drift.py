@@ -15,6 +15,7 @@ from jaxest.types import Reading
 DRIFTS = (0.0, 1.0)  # deg/s
 RUNS = 4
 KINDS = {"axisymmetric": link_orientation.axisymmetric(), "unimodal": link_orientation.unimodal()}
+SAYS = {"axisymmetric, 1": "paper: absorbs the drift", "unimodal, 1": "paper: drifts"}
 FILTERS = {"bootstrap, N = 2048": (2048, deflection.bootstrap), "guided, N = 256": (256, deflection.guided)}
 
 
@@ -85,4 +86,6 @@ def _rows(condition: str, scenes: list[arm.Scene], found: list[arm.Result]) -> l
         ("joints RMSE", [arm.rms(e) for e in error]),
         ("yaw error, mean of the last 10 s", [float(e[-100:, 0].mean()) for e in error]),
     )
-    return [Row(m, condition, float(np.mean(v)), "deg", float(np.std(v)), len(v)) for m, v in figures]
+    said = SAYS.get(condition.split(" deg/s")[0])
+    return [Row(m, condition, float(np.mean(v)), "deg", float(np.std(v)), len(v), reference_name=said)
+            for m, v in figures]  # fmt: skip

@@ -14,6 +14,16 @@ WITH_IMUS, ALL = ("encoders", *arm.IMUS), ("encoders", *arm.IMUS, "end_effector"
 COUNTS = (64, 128, 256, 512, 1024, 2048, 4096, 8192)
 PAPER_ENOUGH = 256.0
 SEEN = (1, 2)  # joints that the IMUs see
+SAYS = {
+    "kappa_0": "paper: little effect",
+    "kappa_v = 0.5": "paper: very noisy",
+    "kappa_v": "paper: may degenerate",
+    "lambda": "paper: larger, joints 2, 3 sharper",
+    "Sigma": "paper: smaller, joint 1 sharper",
+    "kappa_w = 1": "paper: noisy",
+    "kappa_w": "paper: larger, wider (ours: narrower)",
+}
+"""What the paper finds, without figures, where one thing is changed."""
 RUNS = 4
 FEW = 2  # of each of the many hyperparameters
 
@@ -103,7 +113,9 @@ def hyperparameters(choice: Choice, say: Say) -> Section:
             ("joints RMSE in the first s", [arm.rms(e[:10]) for e in error], "deg"),
             ("effective sample size", [float(np.mean(r.ess)) for r in found], "1"),
         ):
-            rows.append(Row(metric, name, float(np.mean(values)), unit, float(np.std(values)), runs))
+            said = SAYS.get(name, SAYS.get(name.split(" = ")[0]))
+            rows.append(Row(metric, name, float(np.mean(values)), unit, float(np.std(values)), runs,
+                            reference_name=said))  # fmt: skip
         rows += [Row(f"{joint}: half 95 % interval", name, float(width[j]), "deg", n=runs)
                  for j, joint in enumerate(arm.JOINTS)]  # fmt: skip
 
