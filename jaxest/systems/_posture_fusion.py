@@ -54,26 +54,35 @@ def fuse(design: Array, noise: Array, error: Array, prior: Prior, share: Array, 
     Returns:
         The solution; the joints' covariance is that of the doubt.
     """
-    n = design.shape[0]
     weight = jax.vmap(jnp.linalg.inv)(noise)
     news, asked = _told(design, weight, error, prior.gone, prior.joint)
-    eye = jnp.eye(n, dtype=design.dtype)
-    # Headings by the covariance form: their prior may be singular (one of them is the zero).
-    moved = share * (prior.heading @ asked)[:, None]
-    gained = jnp.linalg.solve(eye + share * prior.heading @ news, jnp.concatenate([prior.heading, moved], 1))
-    after, turn = gained[:, :-1], gained[:, -1]
-    after = (after + after.T) / 2
+    after, turn = _headings(prior.heading, news, asked, share)
     left = error - jnp.zeros_like(error).at[:, 2].set(turn)
     move, covariance = _joints(design, noise, left, after, prior)
     if loose.shape[1] == 0:
         return Fused(move, covariance, turn, after, after)
-    free = jnp.kron(loose, jnp.eye(3, dtype=design.dtype)).reshape(n, 3, -1)
+    free = jnp.kron(loose, jnp.eye(3, dtype=design.dtype)).reshape(*design.shape[:2], -1)
     gone = jnp.concatenate([prior.gone, jnp.zeros(free.shape[2], design.dtype)])
     sure, _ = _told(jnp.concatenate([design, free], axis=2), weight, error, gone, prior.joint)
-    doubt = jnp.linalg.solve(eye + share * prior.doubt @ sure, prior.doubt)
-    doubt = (doubt + doubt.T) / 2
+    doubt, _ = _headings(prior.doubt, sure, asked, share)
     _, covariance = _joints(design, noise, left, doubt, prior)
     return Fused(move, covariance, turn, after, doubt)
+
+
+def _headings(before: Array, news: Array, asked: Array, share: Array) -> tuple[Array, Array]:
+    """Covariance (n, n) of headings after information, and their move (n,).
+
+    By the covariance form, for the one before may be singular (before any has begun), and Joseph's, for it stays
+    positive by itself: what is common to all headings is known ten thousand times less well than their differences.
+    """
+    n = asked.shape[0]
+    eye = jnp.eye(n, dtype=before.dtype)
+    right = jnp.concatenate([before, share * (before @ asked)[:, None]], axis=1)
+    solved = jnp.linalg.solve(eye + share * before @ news, right)
+    gain, turn = share * solved[:, :n], solved[:, n]
+    keep = eye - gain @ news
+    after = keep @ before @ keep.T + gain @ news @ gain.T / jnp.where(share > 0, share, 1)
+    return (after + after.T) / 2, turn
 
 
 def _told(design: Array, weight: Array, error: Array, gone: Array, prior: Array) -> tuple[Array, Array]:

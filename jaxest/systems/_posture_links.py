@@ -10,7 +10,7 @@ from jaxest.kinematics import Robot
 from jaxest.kinematics.fold import carriers
 from jaxest.kinematics.movement import scattered
 from jaxest.kinematics.orientations import UNKNOWN, rotations
-from jaxest.kinematics.robot import HINGE
+from jaxest.kinematics.robot import BALL, FREE, HINGE
 from jaxest.types import Array
 
 TRIED = 8
@@ -28,6 +28,8 @@ class Loose(NamedTuple):
     """(n, m) 1 for the IMU behind a group, -1 for the one before it, if there is one."""
     hinges: NDArray[np.float64]
     """(nv, m) 1 for the group's coordinates."""
+    root: NDArray[np.float64]
+    """(nv,) 1 for the rotation of a ball or free joint that carries all IMUs."""
 
 
 def loose(robot: Robot, names: tuple[str, ...]) -> Loose:
@@ -69,7 +71,18 @@ def loose(robot: Robot, names: tuple[str, ...]) -> Loose:
         )
     columns = ([each[i] for each in found.values()] for i in range(3))
     sizes = len(names), len(names), robot.nv
-    return Loose(*(np.array(c).reshape(-1, size).T for c, size in zip(columns, sizes, strict=True)))
+    groups = [np.array(c).reshape(-1, size).T for c, size in zip(columns, sizes, strict=True)]
+    return Loose._make([*groups, _root(robot, above)])
+
+
+def _root(robot: Robot, above: list[list[int]]) -> NDArray[np.float64]:
+    topology, root = robot.topology, np.zeros(robot.nv)
+    carriers_of_all = set(above[0]).intersection(*above)
+    for joint in carriers_of_all:
+        if topology.joint_kind[joint] in (BALL, FREE):
+            start = topology.joint_v[joint] + (3 if topology.joint_kind[joint] == FREE else 0)
+            root[start : start + 3] = 1
+    return root
 
 
 def turned_any_way(free: Loose, doubt: Array) -> Array:
@@ -85,6 +98,22 @@ def turned_any_way(free: Loose, doubt: Array) -> Array:
     between, hinges = (jnp.asarray(x, doubt.dtype) for x in (free.between, free.hinges))
     variance = jnp.sum(between * (doubt @ between), axis=0)
     return hinges @ (UNKNOWN * -jnp.expm1(-(variance**2)))
+
+
+def common(free: Loose, up: Array, deviation: Array) -> Array:
+    """Compute what the root's yaw lacks: n headings, all unknown alike, know their mean no better than each.
+
+    Args:
+        free: the root.
+        up: (n, nv) how each velocity turns the IMUs about the vertical.
+        deviation: () or (n,) rad, of each heading at the start.
+
+    Returns:
+        (nv, nv) rad^2 that the covariance of independent headings leaves out.
+    """
+    n = up.shape[0]
+    turned = jnp.asarray(free.root, up.dtype) * up[0]
+    return (1 - 1 / n) * jnp.mean(deviation**2) * turned[:, None] * turned[None, :]
 
 
 def _ends(chain: list[int], tail: list[int]) -> bool:
@@ -103,4 +132,4 @@ def _span(robot: Robot, name: str, group: tuple[int, ...]) -> bool:
     return False
 
 
-__all__ = ["Loose", "loose", "turned_any_way"]
+__all__ = ["Loose", "common", "loose", "turned_any_way"]

@@ -27,7 +27,7 @@ from jaxest.kinematics.orientations import REACH, UNKNOWN, errors, rotations
 from jaxest.manifolds import quaternion as quat
 from jaxest.systems import orientation
 from jaxest.systems._posture_fusion import Prior, fuse
-from jaxest.systems._posture_links import Loose, loose, turned_any_way
+from jaxest.systems._posture_links import Loose, common, loose, turned_any_way
 from jaxest.systems._posture_simulation import Truth, simulate
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, InputError, PyTree, System
 
@@ -187,12 +187,14 @@ def step(
     state, noise = _headings(robot, names, magnetic, params, state, raw, earth, infos.valid)
     now = jnp.where(jnp.isfinite(measurement.dt), measurement.dt, 0)
     share = jnp.clip(now / (2 * jnp.asarray(params.memory, dtype)), 0, 1)
-    state, fused, residual, moving = _solved(robot, names, free, params, state, raw, noise, share, iterations)
-    across = spread(robot, moving, state.q)
+    state, fused, residual, up = _solved(robot, names, free, params, state, raw, noise, share, iterations)
+    across = spread(robot, movers(robot.topology, names), state.q)
     prior = jnp.asarray(params.prior, dtype)
     still = jnp.where(jnp.any(across != 0, axis=1), 0, prior)
     still = still + turned_any_way(free, state.heading_doubt)
     covariance = across @ fused.covariance @ across.T + jnp.diag(still)
+    if not magnetic:
+        covariance = covariance + common(free, up, jnp.asarray(params.initial_heading, dtype))
     before = jnp.sum(across * across, axis=1) * prior
     variance = jnp.diagonal(covariance)
     rest = before - variance  # an unknown heading and the prior are both in it: 1 / (1 / variance - 1 / before) is told
@@ -218,9 +220,9 @@ def _headings(
     model, _ = rotations(robot, state.q, names)
     new = valid & ~state.begun
     turn = jax.vmap(lambda r, m: 2 * jnp.arctan2(*_twist(quat.compose(r, quat.inverse(m)))))(raw, model)
-    first = jnp.broadcast_to(jnp.asarray(params.initial_heading, dtype) ** 2, (count,))
+    first = jnp.where(new, jnp.broadcast_to(jnp.asarray(params.initial_heading, dtype), (count,)), 0)
     grown = jnp.where(state.begun, jnp.maximum(variance - state.heading_variance, 0), 0)
-    more = jnp.diag(grown + jnp.where(new, first, 0))
+    more = jnp.diag(grown + first * first)
     moved = state._replace(
         heading=jnp.where(new, turn, state.heading),
         heading_covariance=state.heading_covariance + more,
@@ -245,8 +247,8 @@ def _solved(
     noise: Array,
     share: Array,
     iterations: int,
-) -> tuple[State, Any, Array, tuple[int, ...]]:
-    """Move joints and headings to where the orientations want them; headings in the last iteration only."""
+) -> tuple[State, Any, Array, Array]:
+    """Move joints, and headings at last; return also residuals (n, 3) and (n, nv) the IMUs' turns about the vertical."""
     moving = movers(robot.topology, names)
     prior, groups = (jnp.asarray(x, state.q.dtype) for x in (params.prior, free.carried))
 
@@ -266,9 +268,9 @@ def _solved(
     before = Prior(state.heading_covariance, state.heading_doubt, prior, jnp.zeros(size, state.q.dtype))
     (q, heading, after), fused = jax.lax.scan(once, (state.q, state.heading, before), shares)
     seen = jax.vmap(lambda h, r: quat.compose(_about_up(-h), r))(heading, raw)
-    residual, _ = errors(robot, q, names, None, seen)
+    residual, slope = errors(robot, q, names, None, seen)
     state = state._replace(q=q, heading=heading, heading_covariance=after.heading, heading_doubt=after.doubt)
-    return state, jax.tree.map(lambda x: x[-1], fused), residual, moving
+    return state, jax.tree.map(lambda x: x[-1], fused), residual, slope[:, 2]
 
 
 def _room(robot: Robot, moving: tuple[int, ...], q: Array) -> tuple[Array, Array]:
