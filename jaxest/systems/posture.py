@@ -248,7 +248,7 @@ def _solved(
     share: Array,
     iterations: int,
 ) -> tuple[State, Any, Array, Array]:
-    """Move joints, and headings at last; return also residuals (n, 3) and (n, nv) the IMUs' turns about the vertical."""
+    """Move joints, and headings at last; return also residuals (n, 3) and turns about the vertical (n, nv)."""
     moving = movers(robot.topology, names)
     prior, groups = (jnp.asarray(x, state.q.dtype) for x in (params.prior, free.carried))
 

@@ -116,7 +116,7 @@ def _forward(params: ekf.Params, before: ekf.State, samples: Imu) -> tuple[ekf.S
     after = opened(corrected)
     transition = motion.carry(moved.track.scale, moved.since)
     fresh = jnp.maximum(jnp.diagonal(ahead.covariance) - jnp.diagonal(before.covariance), 0)
-    noise = [transition * jnp.sqrt(fresh)[None, :], jnp.diag(jnp.sqrt(ekf.process_noise(params, moved)))]
+    noise = [transition * _deviation(fresh)[None, :], jnp.diag(_deviation(ekf.process_noise(params, moved)))]
     factors, _, _ = ekf.news(params, moved, belief)
     values, slopes = evaluate(MANIFOLD, factors, after.track, jnp.zeros(MANIFOLD.dim, after.unit.dtype))
     keeps = [validity(f, v) & moved.initialized for f, v in zip(factors, values, strict=True)]
@@ -132,6 +132,12 @@ def _forward(params: ekf.Params, before: ekf.State, samples: Imu) -> tuple[ekf.S
     total = jnp.where(moved.since.time > 0, moved.since.time, 1)
     share = jnp.where(moved.since.time > 0, time / total, 1)
     return corrected, _Node(path, share, moved.track, after, initialized, valid, headed, status, series)
+
+
+def _deviation(variance: Array) -> Array:
+    """Square roots; what does not vary has none, and no slope either."""
+    there = variance > 0
+    return jnp.where(there, jnp.sqrt(jnp.where(there, variance, 1)), 0)
 
 
 def _between(params: ekf.Params, node: _Node, begin: Root, end: Root, *, seen: bool) -> ekf.Info:
