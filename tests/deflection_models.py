@@ -5,7 +5,7 @@ from functools import cache, partial
 import numpy as np
 
 from jaxest import kinematics, models
-from jaxest.sensors import Sensor, link_orientation, link_position
+from jaxest.sensors import Sensor, joint_angle, link_orientation, link_position, slide_position
 from jaxest.systems import deflection
 
 SENSORS = (
@@ -58,9 +58,18 @@ def crane_sensors():
 
 @cache
 def hanging(proposal=deflection.bootstrap, particles=32):
-    """The crane as a deflection filter."""
+    """The crane as a deflection filter, with sensors that leave a few particles their weight."""
+    wide = link_orientation.Params(link_orientation.unimodal(10.0))
+    slide, hinge, imu, cup, tip = crane_sensors()
+    sensors = (
+        slide._replace(params=slide_position.Params(0.01)),
+        hinge._replace(params=joint_angle.Params(3.0)),
+        imu._replace(params=wide),
+        cup._replace(params=wide),
+        tip._replace(params=link_position.Params(np.full(3, 0.1))),
+    )
     joints = ["rail", "boom", "wrist"]
-    system = deflection.build(crane(), crane_sensors(), joints=joints, particles=particles, proposal=proposal)
+    system = deflection.build(crane(), sensors, joints=joints, particles=particles, proposal=proposal)
     return system._replace(
         default_params=system.default_params._replace(prior=np.full(5, 30.0)),
         simulate=partial(system.simulate, missing=0.0),
