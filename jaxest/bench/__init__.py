@@ -27,6 +27,7 @@ CASES = {
     "logs": "jaxest.bench.logs",
     "onsite": "jaxest.bench.onsite",
     "orientation": "jaxest.bench.orientation",
+    "posture": "jaxest.bench.posture",
     "slam": "jaxest.bench.slam",
 }
 """Name of a case, and the module that holds it."""

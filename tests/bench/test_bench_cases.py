@@ -1,10 +1,15 @@
 import jax
+import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from jaxest import bench
+from jaxest import bench, kinematics, models
+from jaxest.bench import posture as case
+from jaxest.bench import posture_loop
 from jaxest.bench.onsite_loop import loop
-from jaxest.systems import onsite
+from jaxest.filters import complementary, pair, run
+from jaxest.systems import onsite, posture
 from jaxest.types import InputError
 
 
@@ -87,3 +92,35 @@ def test_the_loop_of_the_onsite_benchmark_finds_the_rod():
     measurements, truth = system.simulate(params, key=jax.random.key(3), steps=1500)
     place, _ = loop(measurements)
     assert np.linalg.norm(place - truth.position) < 3e-3
+
+
+@pytest.mark.slow  # compiles six programs
+def test_posture():
+    rows = list(bench.rows("posture", small=True))
+    measured = ("live", "batched", "live", "live", "batched", "live")
+    assert [row.metric for row in rows if row.metric != "compile"] == [f"{metric} step" for metric in measured]
+    assert all(row.value > 0 for row in rows)
+    assert [row.ratio is not None for row in rows if row.metric != "compile"] == [True, True, False, True, True, True]
+
+
+@pytest.mark.slow  # simulates an arm
+def test_the_loops_of_the_posture_benchmark_find_the_same():
+    """Pairs as the filter has them, and the joints of the arm that was simulated."""
+    robot = kinematics.load(models.path("human_arm"))
+    system = posture.build(robot, case.ARM, magnetic=True)
+    params = jax.tree.map(np.float32, system.default_params)
+    draw = jax.jit(lambda key: system.simulate(params, key=key, steps=500, rate_hz=50.0))
+    measurements, truth = jax.tree.map(np.asarray, draw(jax.random.key(3)))
+    edges = ((0, 1), (1, 2), (2, 3), (1, 3))
+    init, step = pair.over(edges, 4)
+    gains = complementary.Params(*(np.float32(x) for x in (1.0, 0.01, 1.0, 1.0)))
+    found = run(step, gains, init(gains), measurements)[1].quaternion[-1]
+    turned = (
+        Rotation.from_quat(found, scalar_first=True)
+        * Rotation.from_matrix(posture_loop.pairs(measurements, edges)).inv()
+    )
+    assert np.rad2deg(turned.magnitude()).max() < 0.5
+    model = mujoco.MjModel.from_xml_path(str(models.path("human_arm")))
+    sites = [model.site(name.removeprefix("site:")).id for name in case.ARM]
+    error = posture_loop.posture(model, sites, measurements)[-100:, 7:] - truth.q[-100:, 7:]
+    assert np.rad2deg(np.sqrt(np.mean(error**2))) < 3
