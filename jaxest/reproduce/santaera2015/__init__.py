@@ -2,6 +2,7 @@
 
 The gripper is the packaged one, whose lengths are not the paper's; IMUs have the MPU-6050's noise after a calibration
 (`simulate.grasp.calibrated_mpu6050`), mounted some degrees off. With `--broad FOLDER` every filter runs on all trials.
+Finished pieces are kept in `--work`, so that a stopped run goes on from there.
 """
 
 from collections.abc import Mapping
@@ -18,6 +19,6 @@ PARTS: Mapping[str, Part] = {
 }
 """By the name that `--part` takes."""
 
-TAKES = ("runs", "broad")
+TAKES = ("runs", "broad", "work")
 
 __all__ = ["PARTS", "TAKES"]

@@ -1,5 +1,6 @@
 """Joint angles of the gripper in free motion, with and without magnetometers, and what cannot be observed."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -8,7 +9,7 @@ import numpy as np
 from jaxest.filters import run
 from jaxest.io.report import Row
 from jaxest.reproduce import Choice, Say, Section
-from jaxest.reproduce.santaera2015 import hand
+from jaxest.reproduce.santaera2015 import hand, kept
 from jaxest.simulate import grasp
 from jaxest.systems import posture
 
@@ -32,13 +33,21 @@ def angles(choice: Choice, say: Say) -> Section:
         errors, known = [], None
         for k in range(count):
             say(f"angles: {name}, run {k + 1} of {count}")
-            measurements, truth = draw(jax.random.key(choice.seed + k))
-            _, info = run(system.step, params, system.init(params), measurements)
-            found, true = (hand.finger_angles(np.asarray(q)) for q in (info.q, truth.q))
-            errors.append(np.rad2deg(found - true)[int(SETTLING * RATE_HZ) :])
-            known = np.asarray(info.known[-1])
+            seed = choice.seed + k
+            tag = f"angles_{'9' if magnetic else '6'}_{seconds:g}s_{seed}"
+            made = kept.piece(choice.work, tag, partial(_run, draw, system, params, seed))
+            errors.append(made["error"])
+            known = made["known"]
         rows += _rows(name, errors, known)
     return Section("angles", "joint angles of the gripper in free motion", rows)
+
+
+def _run(draw: Any, system: Any, params: Any, seed: int) -> kept.Arrays:
+    """Errors of the six angles (T, 6), deg, once settled, and what is known at the end."""
+    measurements, truth = draw(jax.random.key(seed))
+    _, info = run(system.step, params, system.init(params), measurements)
+    found, true = (hand.finger_angles(np.asarray(q)) for q in (info.q, truth.q))
+    return {"error": np.rad2deg(found - true)[int(SETTLING * RATE_HZ) :], "known": np.asarray(info.known[-1])}
 
 
 def _rows(name: str, errors: list[Any], known: Any) -> list[Row]:

@@ -1,5 +1,6 @@
 """Functional calibration: joint axes in both sensors' frames from 20 s of motion, IMUs mounted any way."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -12,6 +13,7 @@ from jaxest.filters import attitude
 from jaxest.io.report import Row
 from jaxest.manifolds import quaternion as quat
 from jaxest.reproduce import Choice, Say, Section
+from jaxest.reproduce.santaera2015 import kept
 from jaxest.simulate import imu, trajectories
 
 RUNS = 100
@@ -28,9 +30,10 @@ def calibration(choice: Choice, say: Say) -> Section:
         errors = []
         for begin in range(0, count, BATCH):
             say(f"calibration: {name}, mounting {begin + 1} of {count}")
-            keys = jax.random.split(jax.random.key(choice.seed + begin + 50000 * two), min(BATCH, count - begin))
-            errors += _errors(two, keys)
-        *both, foreseen = np.transpose(errors)
+            seed, size = choice.seed + begin + 50000 * two, min(BATCH, count - begin)
+            made = kept.piece(choice.work, f"axes_{1 + two}_{seed}_{size}", partial(_errors, two, seed, size))
+            errors.append(made["error"])
+        *both, foreseen = np.concatenate(errors).T
         worst = np.max(both, axis=0)
         rows += [
             Row("error of an axis, mean", name, float(np.mean(both)), "deg", float(np.std(both)), count),
@@ -53,7 +56,8 @@ def joint(two: bool) -> str:
       </body></worldbody></mujoco>"""
 
 
-def _errors(two: bool, keys: Any) -> list[tuple[float, float, float]]:
+def _errors(two: bool, seed: int, size: int) -> kept.Arrays:
+    """Errors (size, 3), as `_compared` has them."""
     robot = kinematics.load(joint(two))
 
     def draw(key: Any) -> Any:
@@ -66,7 +70,7 @@ def _errors(two: bool, keys: Any) -> list[tuple[float, float, float]]:
         )  # fmt: skip
         return mounted, measurements
 
-    mounted, measurements = jax.jit(jax.vmap(draw))(keys)
+    mounted, measurements = jax.jit(jax.vmap(draw))(jax.random.split(jax.random.key(seed), size))
     paths = np.asarray(_smoothed(measurements))
     time, rate = np.arange(paths.shape[2]) / RATE_HZ, np.asarray(measurements.gyroscope.value, np.float64)
     found = []
@@ -76,7 +80,7 @@ def _errors(two: bool, keys: Any) -> list[tuple[float, float, float]]:
         truth = [np.asarray(quat.rotate(quat.inverse(mounted[k, i]), jnp.asarray(axis, jnp.float32)), float)
                  for i, axis in enumerate((FIRST, SECOND if two else FIRST))]  # fmt: skip
         found.append(_compared(solved, truth, two))
-    return found
+    return {"error": np.array(found)}
 
 
 def _compared(solved: mounting.Axes, truth: list[Any], two: bool) -> tuple[float, float, float]:

@@ -1,5 +1,6 @@
 """Figs. 5 to 8: the gripper at rest, closing on nothing, with a phalanx pushed, and with its palm turned."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from jaxest.io.report import Row
 from jaxest.kinematics import roll_pitch_yaw
 from jaxest.manifolds import quaternion as quat
 from jaxest.reproduce import Choice, Say, Section, canvas
-from jaxest.reproduce.santaera2015 import hand
+from jaxest.reproduce.santaera2015 import hand, kept
 from jaxest.reproduce.santaera2015.table import draw_gripper
 from jaxest.simulate import grasp
 from jaxest.types import Reading
@@ -39,25 +40,36 @@ def cases(choice: Choice, say: Say) -> Section:
     shown: dict[str, Any] = {}
     for name, scene in SCENES.items():
         say(f"cases: {name}")
-        trials = [hand.trial(scene, choice.seed + 1000 + k) for k in range(count)]
-        errors, found = angle_errors(trials)
-        apart = np.rad2deg([np.asarray(redundancy(rotations)) for rotations in found[0]])
-        each = np.sqrt(np.mean(errors**2, axis=(1, 2)))
+        tag = f"cases_{name.split()[0]}_{choice.seed}_{count}"
+        made = kept.piece(choice.work, tag, partial(_case, scene, choice.seed, count))
+        each = np.sqrt(np.mean(made["error"] ** 2, axis=(1, 2)))
         rows += [
             Row("finger angles, RMSE", name, float(each.mean()), "deg", float(each.std()), count),
-            Row("finger angles, largest error", name, float(np.abs(errors).max()), "deg", n=count),
-            Row("q* against q1 + q2, rms", name, float(np.sqrt(np.mean(apart**2))), "deg", n=count),
+            Row("finger angles, largest error", name, float(np.abs(made["error"]).max()), "deg", n=count),
+            Row("q* against q1 + q2, rms", name, float(np.sqrt(np.mean(made["apart"] ** 2))), "deg", n=count),
         ]
-        shown[name] = trials[0], found[1][0]
+        shown[name] = made
     say("cases: roll and pitch of the palm")
-    rows += _palm(
-        [hand.trial(SCENES["palm rolled and pitched (fig. 8)"], choice.seed + 2000 + k) for k in range(count)]
-    )
+    made = kept.piece(choice.work, f"cases_imu7_{choice.seed}_{count}", partial(_palm, choice.seed, count))
+    rows += [
+        Row(f"{part} of the palm, RMSE", "fig. 8, IMU 7 alone", float(size.mean()), "deg", float(size.std()), count)
+        for part, size in zip(("roll", "pitch"), made["size"].T, strict=True)
+    ]
 
     def draw(path: Path) -> None:
         canvas.save(path, (12, 5.5), lambda figure: _paint(figure, shown), "Figs. 5 to 8: estimate and truth")
 
     return Section("cases", "Figs. 5 to 8: the gripper's cases", rows, draw)
+
+
+def _case(scene: grasp.Scene, seed: int, count: int) -> kept.Arrays:
+    """Perform a scene some times: errors, deg, and what a picture shows of the first."""
+    trials = [hand.trial(scene, seed + 1000 + k) for k in range(count)]
+    error, (rotations, q) = angle_errors(trials)
+    apart = np.rad2deg([np.asarray(redundancy(each)) for each in rotations])
+    first = trials[0].found
+    return {"error": error, "apart": apart, "q": q[0], "time": first.time[19::20], "truth": first.q[19::20],
+            "end": first.q[-1]}  # fmt: skip
 
 
 def angle_errors(trials: list[hand.Trial], *, magnetic: bool = False) -> tuple[NDArray[np.float64], Any]:
@@ -82,10 +94,11 @@ def redundancy(rotations: Any) -> Any:
     return jax.vmap(one)(rotations)
 
 
-def _palm(trials: list[hand.Trial]) -> list[Row]:
-    """Roll and pitch of the palm from IMU 7 alone, by the complementary filter; its yaw cannot be known."""
+def _palm(seed: int, count: int) -> kept.Arrays:
+    """Errors (count, 2) of the palm's roll and pitch, rms in deg, from IMU 7 alone by the complementary filter."""
     errors = []
-    for trial in trials:
+    for k in range(count):
+        trial = hand.trial(SCENES["palm rolled and pitched (fig. 8)"], seed + 2000 + k)
         used = trial.measurements._replace(magnetometer=None)
         gyro, acc = (Reading(*(x[:, 6] for x in reading)) for reading in (used.gyroscope, used.accelerometer))
         one = used._replace(gyroscope=gyro, accelerometer=acc)
@@ -96,18 +109,13 @@ def _palm(trials: list[hand.Trial]) -> list[Row]:
         truth = jnp.asarray(trial.found.quaternion[:, 6], jnp.float32)  # the site is parallel to the palm
         angles = [np.stack(jax.vmap(roll_pitch_yaw)(q)[:2], axis=1) for q in (found, truth)]
         errors.append(np.rad2deg(angles[0] - angles[1]))
-    both = np.sqrt(np.mean(np.square(errors), axis=1))
-    where = "fig. 8, IMU 7 alone"
-    return [
-        Row(f"{part} of the palm, RMSE", where, float(size.mean()), "deg", float(size.std()), len(trials))
-        for part, size in zip(("roll", "pitch"), both.T, strict=True)
-    ]
+    return {"size": np.sqrt(np.mean(np.square(errors), axis=1))}
 
 
 def _paint(figure: Any, shown: dict[str, Any]) -> None:
     axes = figure.subplots(2, len(shown), height_ratios=(2, 1))
-    for column, (name, (trial, q)) in enumerate(shown.items()):
-        true = trial.found.q[-1].copy()
+    for column, (name, made) in enumerate(shown.items()):
+        q, true = made["q"], np.array(made["end"])
         estimated = np.array(q[-1])
         estimated[:4] = true[:4] = (1, 0, 0, 0)
         top = axes[0, column]
@@ -115,8 +123,8 @@ def _paint(figure: Any, shown: dict[str, Any]) -> None:
         draw_gripper(top, estimated, canvas.BLUE)
         canvas.plain(top, title=name, xlabel="across [mm]")
         top.set_aspect("equal")
-        time = trial.found.time[19::20][: len(q)]
-        found, truth = (np.rad2deg(hand.finger_angles(x)) for x in (q, trial.found.q[19::20][: len(q)]))
+        time = made["time"][: len(q)]
+        found, truth = (np.rad2deg(hand.finger_angles(x)) for x in (q, made["truth"][: len(q)]))
         bottom = axes[1, column]
         for joint in range(3):
             bottom.plot(time, truth[:, joint], color=canvas.RED, linewidth=2)

@@ -1,5 +1,6 @@
 """Table I and fig. 10: radii of grasped disks from the posture and the points where links touch them."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from jaxest.calibration import circle as circles
 from jaxest.filters import last
 from jaxest.io.report import Row
 from jaxest.reproduce import Choice, Say, Section, canvas
-from jaxest.reproduce.santaera2015 import hand
+from jaxest.reproduce.santaera2015 import hand, kept
 from jaxest.simulate import grasp
 
 RUNS = 100
@@ -23,13 +24,20 @@ PAPER = {0.0245: (24.45, 0.2, 4), 0.0325: (31.84, 2.0, 4), 0.0415: (40.88, 1.4, 
 class Grasp(NamedTuple):
     """One grasp, in the palm's frame."""
 
-    found: grasp.Performance
     points: NDArray[np.float64]
     """(k, 2) m, contact points across the fingers and above the palm, by the estimated posture"""
+    links: NDArray[Any]
+    """(k,) names of the links that touch"""
+    force: NDArray[np.float64]
+    """(k,) N"""
     radius: float
     """m, of the best circle"""
     angles: NDArray[np.float64]
     """(6,) rad"""
+    truth: NDArray[np.float64]
+    """(6,) rad"""
+    disk: NDArray[np.float64]
+    """(3,) m, where its centre is"""
 
 
 def table1(choice: Choice, say: Say) -> Section:
@@ -46,8 +54,9 @@ def table1(choice: Choice, say: Say) -> Section:
         found: list[Grasp] = []
         for begin in range(0, count, BATCH):
             say(f"table I: disk of {1e3 * radius:g} mm, run {begin + 1} of {count}")
-            seeds = range(begin, min(begin + BATCH, count))
-            found += grasps([hand.trial(scene(radius, choice.seed, k), _seed(radius, choice.seed, k)) for k in seeds])
+            runs = range(begin, min(begin + BATCH, count))
+            tag = f"table1_{1e3 * radius:g}mm_{choice.seed}_{runs.start}_{runs.stop}"
+            found += _unpacked(kept.piece(choice.work, tag, partial(_packed, radius, choice.seed, runs)))
         shown[radius] = found
         rows += _rows(radius, found)
 
@@ -73,6 +82,18 @@ def _seed(radius: float, seed: int, k: int) -> int:
     return int(np.random.default_rng([seed, k, round(1e4 * radius), 1]).integers(2**31))
 
 
+def _packed(radius: float, seed: int, runs: range) -> kept.Arrays:
+    """Grasp a disk some times; the fields of `Grasp` by the number of the grasp."""
+    found = grasps([hand.trial(scene(radius, seed, k), _seed(radius, seed, k)) for k in runs])
+    return {f"{k}_{name}": np.asarray(value) for k, one in enumerate(found) for name, value in one._asdict().items()}
+
+
+def _unpacked(arrays: kept.Arrays) -> list[Grasp]:
+    count = len(arrays) // len(Grasp._fields)
+    found = [Grasp._make([arrays[f"{k}_{name}"] for name in Grasp._fields]) for k in range(count)]
+    return [one._replace(radius=float(one.radius)) for one in found]
+
+
 def grasps(trials: list[hand.Trial]) -> list[Grasp]:
     """Estimate the postures at the end of some grasps and fit circles."""
     rotations = hand.pairs(trials, last).quaternion
@@ -82,7 +103,11 @@ def grasps(trials: list[hand.Trial]) -> list[Grasp]:
         points = touched(q, trial.found.contacts)
         circle = circles.fit(points) if len(points) > 2 else None
         radius = np.nan if circle is None else float(circle.radius)
-        found.append(Grasp(trial.found, points, radius, hand.finger_angles(q)))
+        contacts, disk = trial.found.contacts, trial.found.disk
+        links, force = np.array([c.link for c in contacts], str), np.array([c.force for c in contacts], float)
+        truth = hand.finger_angles(trial.found.q[-1])
+        centre = np.full(3, np.nan) if disk is None else disk
+        found.append(Grasp(points, links, force, radius, hand.finger_angles(q), truth, centre))
     return found
 
 
@@ -106,10 +131,10 @@ def _rows(radius: float, found: list[Grasp]) -> list[Row]:
     sizes = 1e3 * np.array([g.radius for g in found])
     off = 100 * np.abs(sizes / (1e3 * radius) - 1)
     counts = np.array([len(g.points) for g in found], float)
-    angles = np.rad2deg(np.stack([g.angles - hand.finger_angles(g.found.q[-1]) for g in found]))
-    force = np.array([sum(c.force for c in g.found.contacts) for g in found])
-    links = sorted({c.link for g in found for c in g.found.contacts})
-    share = [sum(any(c.link == link for c in g.found.contacts) for g in found) / n for link in links]
+    angles = np.rad2deg(np.stack([g.angles - g.truth for g in found]))
+    force = np.array([g.force.sum() for g in found])
+    links = sorted({str(link) for g in found for link in g.links})
+    share = [sum(link in g.links for g in found) / n for link in links]
     return [
         Row("estimated radius", disk, float(np.nanmean(sizes)), "mm", float(np.nanstd(sizes)), n, mean, "paper, 1 run"),
         Row("mean absolute error", disk, float(np.nanmean(off)), "%", float(np.nanstd(off)), n, error, "paper, 1 run"),
@@ -131,14 +156,13 @@ def _paint(figure: Any, shown: dict[float, list[Grasp]]) -> None:
         x, y = np.asarray(circle.centre)
         axis.plot(1e3 * (x + circle.radius * np.cos(angle)), 1e3 * (y + circle.radius * np.sin(angle)),
                   color=canvas.BLUE, linewidth=1.2, label=f"fit, {1e3 * one.radius:.2f} mm")  # fmt: skip
-        centre = one.found.disk
-        if centre is not None:
-            axis.plot(1e3 * (centre[1] + radius * np.cos(angle)), 1e3 * (centre[2] + radius * np.sin(angle)),
-                      color=canvas.RED, linewidth=1, linestyle="--", label="disk")  # fmt: skip
-            for point, contact in zip(one.points, one.found.contacts, strict=True):
-                inward = centre[1:] - point
-                inward = inward / np.linalg.norm(inward) * 6e-3 * contact.force
-                axis.annotate("", 1e3 * (point + inward), 1e3 * point, arrowprops={"arrowstyle": "->", "color": "k"})
+        centre = one.disk
+        axis.plot(1e3 * (centre[1] + radius * np.cos(angle)), 1e3 * (centre[2] + radius * np.sin(angle)),
+                  color=canvas.RED, linewidth=1, linestyle="--", label="disk")  # fmt: skip
+        for point, force in zip(one.points, one.force, strict=True):
+            inward = centre[1:] - point
+            inward = inward / np.linalg.norm(inward) * 6e-3 * force
+            axis.annotate("", 1e3 * (point + inward), 1e3 * point, arrowprops={"arrowstyle": "->", "color": "k"})
         axis.plot(*(1e3 * one.points.T), "o", color=canvas.BLUE, markersize=4)
         canvas.plain(axis, title=f"{1e3 * radius:g} mm, {len(one.points)} contacts", xlabel="across [mm]")
         axis.set_aspect("equal")
