@@ -77,6 +77,7 @@ def pose():
         bias_a=np.full(3, 0.01),
         gyroscope_axes=0.01,
         accelerometer_axes=0.02,
+        accelerometer_bias=0.05,
     )
     options = {"rate_hz": 8.0, "speed": 1.0, "length": 1.0, "shaking": 0.1, "gyroscope": 0.03, "accelerometer": 0.1}
     return system._replace(default_params=params, simulate=partial(system.simulate, **options))

@@ -56,7 +56,7 @@ def align(
         moved = np.einsum("nij,nj->ni", turns, x0)
         # A further small turn v of the readings: y0 + v x y0 = D (x0 + v x x0), and v x y0 = -y0 x v.
         errors = y0 - moved
-        slopes = _skew(y0) - turns @ _skew(x0)
+        slopes = skew(y0) - turns @ skew(x0)
         gram = np.einsum("nji,njk->ik", slopes, slopes)
         change = np.linalg.lstsq(gram, np.einsum("nji,nj->i", slopes, errors), rcond=1e-12)[0]
         found = rotations(change[None])[0] @ found
@@ -97,8 +97,8 @@ def _turned(time: NDArray[np.float64], rate: NDArray[np.float64], count: int) ->
     return np.swapaxes(product, 1, 2)
 
 
-def _skew(v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Matrices (n, 3, 3) with M u = v x u."""
+def skew(v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return matrices (n, 3, 3) with M u = v x u."""
     zero = np.zeros(len(v))
     x, y, z = v.T
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
@@ -107,9 +107,9 @@ def _skew(v: NDArray[np.float64]) -> NDArray[np.float64]:
 def rotations(v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rotation matrices (n, 3, 3) of rotation vectors (n, 3)."""
     angle = np.linalg.norm(v, axis=1)[:, None, None]
-    k = _skew(v)
+    k = skew(v)
     half = np.sinc(angle / (2 * np.pi))
     return np.eye(3) + np.sinc(angle / np.pi) * k + half * half / 2 * (k @ k)
 
 
-__all__ = ["Alignment", "align", "rotations"]
+__all__ = ["Alignment", "align", "rotations", "skew"]

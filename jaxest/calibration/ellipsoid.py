@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from jaxest.types import InputError
 
+REACH = 0.3
+"""m, standard deviation of the place, along each axis, of the point that a sensor in the hand is turned about"""
 ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 
@@ -29,6 +31,8 @@ class Fit(NamedTuple):
     """(9, 9) of W's entries xx, yy, zz, xy, xz, yz, and the bias."""
     noise: float
     """standard deviation of the corrected readings' length about g, in the sensor's unit"""
+    lever: NDArray[np.float64] = np.zeros(3)
+    """(3,) m, from the point that it was turned about to the sensor; 0 if the turning was not given"""
 
     @property
     def axes(self) -> NDArray[np.float64]:
@@ -46,7 +50,10 @@ class Fit(NamedTuple):
         return np.array(errors)
 
 
-def fit(readings: ArrayLike, length: float = 9.80665, *, tolerance: float = 0.02, iterations: int = 100) -> Fit:
+def fit(
+    readings: ArrayLike, length: float = 9.80665, *, tolerance: float = 0.02, iterations: int = 100,
+    turning: ArrayLike | None = None,
+) -> Fit:  # fmt: skip
     """Fit the ellipsoid.
 
     Args:
@@ -55,6 +62,9 @@ def fit(readings: ArrayLike, length: float = 9.80665, *, tolerance: float = 0.02
         tolerance: largest standard error, of each half axis over g and of the bias over g, with which the result is
             still accepted.
         iterations: most steps of Levenberg and Marquardt.
+        turning: (n, 3, 3) 1/s^2, [dw/dt x] + [w x]^2 of the body's rates. A sensor that is turned about a point away
+            from it feels that times the lever, which looks like a bias and does not average out; with this the lever
+            is estimated along, within `REACH` of the sensor.
 
     Returns:
         The fit.
@@ -85,8 +95,43 @@ def fit(readings: ArrayLike, length: float = 9.80665, *, tolerance: float = 0.02
             damping *= 4
             if damping > 1e12:
                 break
-    x, residual, slope = _unbiased(x, y / length)
-    return _judged(x, residual, slope, y, length, tolerance)
+    if turning is None:
+        return _judged(*_unbiased(x, y / length), y, length, tolerance)
+    arms = np.asarray(turning, np.float64) / length
+    if arms.shape != (len(y), 3, 3) or not np.isfinite(arms).all():
+        raise InputError(f"turning: got shape {arms.shape}, expected ({len(y)}, 3, 3), finite")
+    lever, x = _levered(x, y / length, arms)
+    still = y / length - (arms @ lever) @ np.linalg.inv(_matrix(x))
+    x, residual, slope = _unbiased(x, still)
+    slope = np.hstack([slope, _pull(x, still, arms)])
+    return _judged(x, residual, slope, y, length, tolerance)._replace(lever=lever)
+
+
+def _pull(x: NDArray[np.float64], y: NDArray[np.float64], arms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Derivatives (n, 3) of the distances by the lever."""
+    corrected = (y - x[6:]) @ _matrix(x)
+    unit = corrected / np.maximum(np.linalg.norm(corrected, axis=1), 1e-9)[:, None]
+    return -np.einsum("ni,nij->nj", unit, arms)
+
+
+def _levered(
+    x: NDArray[np.float64], y: NDArray[np.float64], arms: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The lever and the ellipsoid, by Gauss and Newton from the ellipsoid without a lever."""
+    lever = np.zeros(3)
+    for _ in range(10):
+        still = y - (arms @ lever) @ np.linalg.inv(_matrix(x))
+        residual, slope = _model(x, still)
+        both = np.hstack([slope, _pull(x, still, arms)])
+        prior = np.concatenate([np.zeros(9), np.full(3, residual @ residual / len(y) / REACH**2)])
+        change = np.linalg.solve(both.T @ both + np.diag(prior + 1e-12), both.T @ residual + prior * [*[0] * 9, *lever])
+        trial = x - change[:9]
+        if np.linalg.eigvalsh(_matrix(trial))[0] <= 0:
+            break
+        x, lever = trial, lever - change[9:]
+        if np.abs(change).max() < 1e-9:
+            break
+    return lever, x
 
 
 def _start(y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -158,7 +203,11 @@ def _judged(
 ) -> Fit:
     """Scale the result back and refuse it where it is not determined."""
     spread = np.linalg.svd(y - y.mean(axis=0), compute_uv=False) / np.sqrt(len(y)) / length
-    gram = slope.T @ slope
+    joint = slope.T @ slope
+    gram = joint[:9, :9]
+    if len(joint) > 9:  # a lever is estimated along
+        own = joint[9:, 9:] + residual @ residual / len(y) / REACH**2 * np.eye(3)
+        gram = gram - joint[:9, 9:] @ np.linalg.solve(own, joint[9:, :9])
     scale = 1 / np.sqrt(np.maximum(np.diag(gram), 1e-30))
     values = np.linalg.eigvalsh(gram * np.outer(scale, scale))
     where = (
@@ -186,4 +235,4 @@ def apply(fitted: Fit, readings: ArrayLike) -> NDArray[np.float64]:
     return (np.asarray(readings, np.float64) - fitted.bias) @ fitted.matrix
 
 
-__all__ = ["Fit", "apply", "fit"]
+__all__ = ["REACH", "Fit", "apply", "fit"]

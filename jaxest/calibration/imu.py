@@ -12,10 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxest.calibration import alignment, ellipsoid, imu_static
+from jaxest.filters import savitzky_golay as sg
 from jaxest.types import InputError
 
 UNCALIBRATED = 0.01
 """Standard deviation of an entry of a small MEMS sensor's axes as it comes: data sheets allow 1 to 3 %."""
+
+
+SLOW = 0.5
+"""s, half of the window over which the rates of slow turning are smoothed and differentiated."""
 
 
 class Calibration(NamedTuple):
@@ -37,6 +42,10 @@ class Calibration(NamedTuple):
     """standard deviation of an entry of the gyro's matrix"""
     accelerometer_axes: float = UNCALIBRATED
     """likewise of the accelerometer's, in the case; an ellipsoid fit leaves it as the gyro's axes are"""
+    accelerometer_relative: float = UNCALIBRATED
+    """likewise of the accelerometer's against the gyroscope's axes, which an ellipsoid fit does tell"""
+    accelerometer_bias_deviation: float = 0.3
+    """m/s2, standard deviation of the accelerometer's bias along an axis"""
 
 
 class Readings(NamedTuple):
@@ -65,13 +74,30 @@ def calibrate(rest: Readings, turning: Readings | None = None) -> Calibration:
     """
     still = imu_static.calibrate(*rest)
     noise = [float(np.sqrt(np.trace(c) / 3)) for c in (still.gyroscope_covariance, still.accelerometer_covariance)]
-    matrix, bias = np.eye(3), np.zeros(3)
-    if turning is not None:
-        fitted = ellipsoid.fit(turning.accelerometer)
-        forces = ellipsoid.apply(fitted, turning.accelerometer)
-        turned = alignment.align(turning.time, np.asarray(turning.gyroscope) - still.gyroscope_bias, forces)
-        matrix, bias = turned.rotation @ fitted.matrix, fitted.bias
-    return Calibration(still.gyroscope_bias, noise[0], matrix, bias, noise[1])
+    if turning is None:
+        return Calibration(still.gyroscope_bias, noise[0], np.eye(3), np.zeros(3), noise[1])
+    rates = np.asarray(turning.gyroscope, np.float64) - still.gyroscope_bias
+    arms = _arms(np.asarray(turning.time, np.float64), rates)
+    fitted = ellipsoid.fit(turning.accelerometer, turning=arms)
+    forces = ellipsoid.apply(fitted, turning.accelerometer) - arms @ fitted.lever
+    turned = alignment.align(turning.time, rates, forces)
+    # A matrix has three entries on its diagonal and six beside it, which share what is symmetric and what turns.
+    variance = np.diag(fitted.covariance)
+    spread = (np.sum(variance[:3]) + 2 * np.sum(variance[3:6]) + 2 * np.sum(turned.deviation**2)) / 9
+    return Calibration(
+        still.gyroscope_bias, noise[0], turned.rotation @ fitted.matrix, fitted.bias, noise[1],
+        accelerometer_relative=float(np.sqrt(spread)),
+        accelerometer_bias_deviation=float(np.sqrt(np.mean(variance[6:]))),
+    )  # fmt: skip
+
+
+def _arms(time: NDArray[np.float64], rates: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What a lever is multiplied by to give the acceleration at its end, (n, 3, 3) 1/s^2, for slow turning."""
+    half_width = min(max(2, round(SLOW / float(np.median(np.diff(time))))), (len(time) - 1) // 2)
+    fitted = sg.smooth(time, rates, half_width=half_width, degree=2)
+    w, turn = (np.asarray(x, np.float64) for x in fitted[:2])
+    squares = w[:, :, None] * w[:, None, :]
+    return alignment.skew(turn) + squares - np.einsum("nii->n", squares)[:, None, None] * np.eye(3)
 
 
 def apply(
@@ -101,8 +127,8 @@ def load(path: str | Path) -> dict[str, Calibration]:
         Calibrations by name.
 
     Raises:
-        InputError: no such file, or not such a file; what is missing is named. The gyro's matrix and both `axes` may
-            be missing: a gyro that was not tumbled.
+        InputError: no such file, or not such a file; what is missing is named. The gyro's matrix and what
+            follows it may be missing: a gyro that was not tumbled.
     """
     path = Path(path)
     if not path.is_file():
@@ -111,7 +137,8 @@ def load(path: str | Path) -> dict[str, Calibration]:
         plain = json.loads(path.read_text(encoding="utf-8"))
         shapes = {"gyroscope_bias": (3,), "gyroscope_noise": (), "accelerometer_matrix": (3, 3),
                   "accelerometer_bias": (3,), "accelerometer_noise": (), "gyroscope_matrix": (3, 3),
-                  "gyroscope_axes": (), "accelerometer_axes": ()}  # fmt: skip
+                  "gyroscope_axes": (), "accelerometer_axes": (), "accelerometer_relative": (),
+                  "accelerometer_bias_deviation": ()}  # fmt: skip
         usual = Calibration._field_defaults
         found = {}
         for name, one in plain.items():

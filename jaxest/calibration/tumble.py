@@ -63,28 +63,33 @@ def calibrate(
     if len(rests) != len(faces):
         raise InputError(f"the recording has {len(rests)} rests of at least 0.5 s, expected {len(faces)}, one a face")
     felt = np.array([forces[rows].mean(axis=0) for rows in rests])
-    matrix, offset, sharp = _accelerometer(felt, gravity * faces[:, 2, :], gravity, flatness)
+    matrix, offset, sharp, level = _accelerometer(felt, gravity * faces[:, 2, :], gravity, flatness)
     resting = np.array([rates[row].mean(axis=0) for row in rests])
     turns = [_turn(time, rates, before, after) for before, after in pairwise(rests)]
     turned, exact = _gyroscope(turns, np.swapaxes(faces[:-1], 1, 2) @ faces[1:], flatness)
     noise = [
         float(np.sqrt(np.mean([x[rows].var(axis=0, ddof=1) for rows in rests]))) for x in (rates, forces)
     ]  # fmt: skip
-    return Calibration(resting.mean(axis=0), noise[0], matrix, offset, noise[1], turned, exact, sharp)
+    relative = float(np.hypot(exact, sharp))
+    return Calibration(
+        resting.mean(axis=0), noise[0], matrix, offset, noise[1], turned, exact, sharp, relative, level
+    )  # fmt: skip
 
 
 def _accelerometer(
     felt: NDArray[np.float64], true: NDArray[np.float64], gravity: float, flatness: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Matrix, bias and the standard deviation of the matrix' entries: felt = matrix^-1 true + bias."""
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float]:
+    """Matrix, bias and the standard deviations of the entries of either: felt = matrix^-1 true + bias."""
     design = np.hstack([true / gravity, np.ones((len(true), 1))])
     if len(true) < 4 or np.linalg.cond(design) > 100:
         raise InputError(f"tumble: {len(true)} faces do not tell the accelerometer's axes; expected rests on all six")
     found = np.linalg.lstsq(design, felt, rcond=None)[0]
     left = felt - design @ found
     variance = np.sum(left**2) / max(3 * len(felt) - 12, 1) / gravity**2
-    spread = max(variance, flatness**2) * np.mean(np.diag(np.linalg.inv(design.T @ design))[:3])
-    return np.linalg.inv(found[:3].T / gravity), found[3], float(np.sqrt(spread))
+    unit = max(variance, flatness**2)
+    inverse = np.diag(np.linalg.inv(design.T @ design))
+    sharp, level = np.sqrt(unit * np.mean(inverse[:3])), gravity * np.sqrt(unit * inverse[3])
+    return np.linalg.inv(found[:3].T / gravity), found[3], float(sharp), float(level)
 
 
 def _turn(

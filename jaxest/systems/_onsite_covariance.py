@@ -29,8 +29,9 @@ def askew(params: Params, turn: bingham_linear.State) -> Array:
     """Return the covariance (3, 3) that gyros with crooked axes leave of the rotation.
 
     If R'w_A = w_P + D w_P with independent entries of D, the rotation turns by (tr S I - S)^-1 sum of w x D w, S the
-    rates' second moment: the covariance of that sum is tr(S^2) I - S^2 times the variance of an entry. About an axis
-    that nothing turns about it is an entry's own, which both factors tend to with what is added to them.
+    rates' second moment: the covariance of that sum is tr(S^2) I - S^2 times the variance of an entry. However little
+    the link turns about two axes, p and q of S about them, what is left about the third is (p^2 + q^2) / (p + q)^2 of
+    an entry's variance, a half to one: `little` only keeps the quotient from 0 / 0, and makes it one there.
     """
     s = turn.scatter[3:, 3:]
     s = s / jnp.where(turn.weight > 0, turn.weight, 1)
@@ -64,7 +65,11 @@ def whole(params: Params, turned: Turned, place: rls.Info, memory: Memory, noisy
     crossed = jnp.stack(
         [force[1][:, 2] - force[2][:, 1], force[2][:, 0] - force[0][:, 2], force[0][:, 1] - force[1][:, 0]], axis=1
     )
-    moved = -product(inverse, product(crossed, turned.matrix))
+    # It turns half of the regressor, too: by D = [R d x] / 2 in the words of `_stretched`.
+    x, y, z = product(_spread(memory), place.estimate[:, None])[:, 0] / 2
+    zero = jnp.zeros_like(x)
+    half = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
+    moved = -product(inverse, product(crossed + half, turned.matrix))
     turning = turned.noise + turned.askew
     # Each step used the rotation of its time, whose error then was larger: twice the variance of the last.
     placing = _placed(place, memory, noisy) + sandwich(moved, turning + turned.noise)
@@ -75,6 +80,12 @@ def whole(params: Params, turned: Turned, place: rls.Info, memory: Memory, noisy
     )  # fmt: skip
     near = (4 * trace(placing) < NEAR[0] ** 2) & (4 * trace(turning) < NEAR[1] ** 2)
     return near, covariance
+
+
+def _spread(memory: Memory) -> Array:
+    """S (3, 3), second moments of the rates' derivatives: O'O of O = [w' x] sums to tr(S) I - S."""
+    information = memory.position.information
+    return trace(information) / 2 * jnp.eye(3, dtype=information.dtype) - information
 
 
 def _placed(place: rls.Info, memory: Memory, noisy: Array) -> Array:
@@ -95,17 +106,15 @@ def _stretched(params: Params, place: rls.Info, memory: Memory, inverse: Array) 
     """Covariance (3, 3) that crooked axes and accelerometers' biases leave of the position, less the rotation's share.
 
     Both forces are near R f_P: they differ by D R f_P + c, D and c of two accelerometers' errors. The regressor O errs
-    by the mean D of two gyros. Where turning about the link is quicker than the turns' centripetal part, O is [w' x]
-    and O'[D w' x] sums to tr(D S) I - D S, S = tr(A) I / 2 - A of the sum A of O'O: times the position r that is a
-    vector whose covariance for independent entries of D follows. What O has of [w x]^2 errs by twice as much.
+    by the mean D of two gyros. Where the turns' change matters more than their centripetal part, O is [w' x] and
+    O'[D w' x] sums to tr(D S) I - D S: times the position r that is a vector whose covariance for independent entries
+    of D follows. What O has of [w x]^2 errs by twice as much.
     """
     gyro, acc, bias = (
         jnp.asarray(x, inverse.dtype)
         for x in (params.gyroscope_axes, params.accelerometer_axes, params.accelerometer_bias)
     )
-    r, information = place.estimate, memory.position.information
-    eye = jnp.eye(3, dtype=inverse.dtype)
-    s = trace(information) / 2 * eye - information
+    r, s, eye = place.estimate, _spread(memory), jnp.eye(3, dtype=inverse.dtype)
     sr, square = jnp.sum(s * r[None, :], axis=1), product(s, s)
     # D has entries of variance 1: E[tr(D S)^2] = tr(S^2), E[tr(D S) (D S r)'] = (S S r)', E[D S r (D S r)'] = |S r|^2.
     mixed = outer(jnp.sum(square * r[None, :], axis=1), r)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxest.calibration import alignment, imu
+from jaxest.calibration import alignment, ellipsoid, imu
 from jaxest.types import InputError
 
 
@@ -70,6 +70,34 @@ def test_a_sensor_as_it_comes_reads_right_afterwards(tmp_path):
         np.testing.assert_array_equal(a, b)
     plain = imu.calibrate(rest)
     np.testing.assert_array_equal(plain.accelerometer_matrix, np.eye(3))
+
+
+def test_a_sensor_away_from_the_point_it_is_turned_about():
+    """12 sensors 0.2 m out: what turning adds is not taken for a bias, and errors are as large as is said."""
+    squares, without = [], []
+    for seed in range(12):
+        time, rate, force = turning(n=3000, hz=50.0, seed=seed)
+        random = np.random.default_rng(seed)
+        arms = imu._arms(time, rate)
+        lever = random.normal(size=3)
+        lever *= 0.2 / np.linalg.norm(lever)
+        bias = 0.3 * random.normal(size=3)
+        gain = 0.02 * random.normal(size=(3, 3))
+        matrix = np.eye(3) + (gain + gain.T) / 2
+        readings = (force + arms @ lever) @ np.linalg.inv(matrix) + bias + 0.05 * random.normal(size=force.shape)
+        noisy = imu._arms(time, rate + 0.01 * random.normal(size=rate.shape))
+        found = ellipsoid.fit(readings, turning=noisy)
+        np.testing.assert_allclose(found.lever, lever, atol=0.06)
+        inverse = np.linalg.inv(found.covariance)
+        entries = [matrix[i, j] for i, j in ellipsoid.ENTRIES]
+        for one, sums in ((found, squares), (ellipsoid.fit(readings), without)):
+            error = np.concatenate([[one.matrix[i, j] for i, j in ellipsoid.ENTRIES], one.bias]) - [*entries, *bias]
+            sums.append(error @ inverse @ error)
+    # Of nine errors each: 12 x 9 squares.
+    assert abs(np.sum(squares) - 108) < 4 * np.sqrt(216)
+    assert np.median(without) > 100
+    with pytest.raises(InputError, match=r"turning: got shape \(3, 3\), expected \(3000, 3, 3\)"):
+        ellipsoid.fit(readings, turning=np.eye(3))
 
 
 def test_files_that_are_no_calibration(tmp_path):

@@ -97,6 +97,8 @@ def _pair(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
     names, known = _names(log, settings), _calibrations(settings)
     a, p = (_imu(log, name, nan, known) for name in names)
     usual = onsite_batch.Prior()
+    if all(name in known for name in names):
+        usual = usual._replace(accelerometer_bias=max(known[n].accelerometer_bias_deviation for n in names))
     prior = onsite_batch.Prior(*(_positive(settings, key, getattr(usual, key)) for key in usual._fields[:2]),
                                *_axes(settings, names, known))  # fmt: skip
     found = onsite_recording.estimate(a, p, prior=prior, names=names, align_clocks=settings.get("clocks", True))
@@ -162,7 +164,7 @@ def _live(found: Any, prior: Any) -> Any:
     step = float(np.median(np.diff(found.time)))
     system = onsite.build(half_width=max(2, round(0.07 / step)))
     single = jax.tree.map(lambda x: x.astype(np.float32) if x.dtype.kind == "f" else x, found.measurements)
-    off = {key: getattr(prior, key) for key in AXES}
+    off = {key: getattr(prior, key) for key in (*AXES, "accelerometer_bias")}
     params = jax.tree.map(np.float32, system.default_params._replace(**off))
 
     def kept(state: Any, info: Any) -> Any:
