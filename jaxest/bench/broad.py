@@ -36,6 +36,7 @@ GROUPS = {
     "undisturbed, combined": ("undisturbed", "combined"),
     "undisturbed, slow": ("undisturbed", "slow"),
     "undisturbed, fast": ("undisturbed", "fast"),
+    "with breaks at rest": ("breaks",),
     "tapping": ("tapping",),
     "vibration": ("vibration",),
     "stationary magnet": ("stationary", "magnet"),
@@ -44,6 +45,9 @@ GROUPS = {
     "mixed": ("mixed",),
 }
 """Name of a group, and the words of a trial's file name that put it there."""
+BIAS = np.deg2rad([0.5, -0.5, 0.5])
+"""rad/s, added to the gyroscope of every trial in the group of that name; what is in the recordings is hardly any."""
+BIASED = "all, a gyro bias of 0.87 deg/s added"
 BLOCK = 0.03  # s between corrections of the smoother
 
 
@@ -184,22 +188,28 @@ def rows(folder: Path, *, peers: bool = True, progress: Progress = lambda messag
     """
     trials = load(folder)
     members = groups(trials)
+    turned = [t._replace(sensors={**t.sensors, "gyroscope": t.sensors["gyroscope"] + BIAS}) for t in trials]
     vqf = find_peer("vqf") if peers else None
     for axes, part in ((6, "inclination"), (9, "total")):
-        peer_names = {PEERS.get(name, "VQF") for name in (*ONLINE, SMOOTHER)} if vqf is not None else set()
-        beside = {name: _errors(trials, peer(vqf, name, trials, axes), part) for name in peer_names}
         for name in (*ONLINE, SMOOTHER):
-            progress(f"{name}, {axes} axes")
-            error = _errors(trials, estimates(name, trials, axes), part)
-            reference = PEERS.get(name, "VQF")
-            for group, chosen in members.items():
-                ours = float(error[chosen].mean())
-                theirs = float(beside[reference][chosen].mean()) if vqf is not None else None
-                yield Row(
-                    f"{part} RMSE, {axes} axes, {name}", group, ours, "deg", n=len(chosen), reference=theirs,
-                    reference_name=reference if theirs is not None else None,
-                    ratio=theirs / ours if theirs is not None else None,
-                )  # fmt: skip
+            for recorded, chosen in ((trials, members), (turned, {BIASED: list(range(len(trials)))})):
+                if recorded is turned and name not in ("ekf", SMOOTHER):
+                    continue
+                progress(f"{name}, {axes} axes{', with a gyro bias' if recorded is turned else ''}")
+                error = _errors(recorded, estimates(name, recorded, axes), part)
+                reference = PEERS.get(name, "VQF")
+                beside = None if vqf is None else _errors(recorded, peer(vqf, reference, recorded, axes), part)
+                yield from _rows(f"{part} RMSE, {axes} axes, {name}", chosen, error, reference, beside)
+
+
+def _rows(
+    metric: str, members: dict[str, list[int]], error: NDArray[np.float64], reference: str, beside: Any
+) -> Iterable[Row]:  # fmt: skip
+    for group, chosen in members.items():
+        ours = float(error[chosen].mean())
+        theirs = None if beside is None else float(beside[chosen].mean())
+        ratio, named = (None, None) if theirs is None else (theirs / ours, reference)
+        yield Row(metric, group, ours, "deg", None, len(chosen), theirs, named, ratio)
 
 
 def groups(trials: list[Trial]) -> dict[str, list[int]]:
@@ -227,10 +237,9 @@ def table(measured: Iterable[Row]) -> str:
     lines = []
     for metric in metrics:
         lines += ["", metric]
-        for condition in conditions:
-            row = cells[condition, metric]
+        for row in (cells[condition, metric] for condition in conditions if (condition, metric) in cells):
             beside = "" if row.reference is None else f"   {row.reference_name} {row.reference:6.2f}"
-            lines.append(f"  {condition:26s} {row.n:3d} trials  {row.value:6.2f}{beside}")
+            lines.append(f"  {row.condition:40s} {row.n:3d} trials  {row.value:6.2f}{beside}")
     return "\n".join(lines)
 
 

@@ -46,6 +46,30 @@ def test_groups_go_by_the_names(folder):
     }  # fmt: skip
 
 
+def test_every_filter_has_every_group_and_a_gyro_bias_of_its_own(folder, monkeypatch):
+    """Rows of one online filter and the smoother, without a peer; the bias is in the gyroscope that filters get."""
+    given = []
+
+    def exact(name, trials, axes, dtype=np.float32):
+        given.append((name, axes, trials[0].sensors["gyroscope"][0]))
+        return [trial.truth for trial in trials]
+
+    monkeypatch.setattr(broad, "estimates", exact)
+    rows = list(broad.rows(folder, peers=False))
+    groups = [*broad.groups(broad.load(folder))]
+    by_filter = {}
+    for row in rows:
+        by_filter.setdefault(row.metric, []).append(row.condition)
+    assert len(by_filter) == 2 * (len(broad.ONLINE) + 1)
+    for metric, conditions in by_filter.items():
+        biased = [broad.BIASED] if metric.endswith(("ekf", broad.SMOOTHER)) else []
+        assert conditions == groups + biased
+    assert all(row.value == pytest.approx(0, abs=1e-6) for row in rows)
+    for name in ("ekf", broad.SMOOTHER):
+        seen = [rate for filter_name, axes, rate in given if (filter_name, axes) == (name, 9)]
+        np.testing.assert_allclose(np.abs(seen), [[0, 0, 0], np.deg2rad([0.5] * 3)], atol=1e-12)
+
+
 def test_a_folder_without_trials_is_refused(tmp_path):
     with pytest.raises(InputError, match="no NPZ file, expected the trials of BROAD"):
         broad.load(tmp_path)
