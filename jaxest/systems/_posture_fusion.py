@@ -69,6 +69,19 @@ def fuse(design: Array, noise: Array, error: Array, prior: Prior, share: Array, 
     return Fused(move, covariance, turn, after, doubt)
 
 
+def joints(design: Array, noise: Array, error: Array, prior: Prior) -> Fused:
+    """Solve for joints alone, where the orientations' headings are those of the earth: `fuse` with headings known."""
+    n, _, k = design.shape
+    weight = jax.vmap(jnp.linalg.inv)(noise)
+    eye = jnp.eye(k, dtype=design.dtype)
+    pull = _sum(design, weight, error[:, :, None])[:, 0] - prior.gone / prior.joint
+    information = _sum(design, weight, design) + eye / prior.joint
+    solved = _solve(information, jnp.concatenate([eye, pull[:, None]], 1))
+    covariance = solved[:, :k]
+    still = jnp.zeros(n, design.dtype)
+    return Fused(solved[:, k], (covariance + covariance.T) / 2, still, prior.heading, prior.doubt)
+
+
 def _headings(before: Array, news: Array, asked: Array, share: Array) -> tuple[Array, Array]:
     """Covariance (n, n) of headings after information, and their move (n,).
 

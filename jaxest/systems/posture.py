@@ -26,9 +26,10 @@ from jaxest.kinematics.movement import coupled, moved, movers, room, spread
 from jaxest.kinematics.orientations import REACH, UNKNOWN, errors, rotations
 from jaxest.manifolds import quaternion as quat
 from jaxest.systems import orientation
-from jaxest.systems._posture_fusion import Prior, fuse
+from jaxest.systems._posture_fusion import Prior, fuse, joints
 from jaxest.systems._posture_links import Loose, common, loose, turned_any_way
 from jaxest.systems._posture_simulation import Truth, simulate
+from jaxest.systems._posture_turns import about_up, turned, twist
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, InputError, PyTree, System
 
 SLACK = 0.3
@@ -183,11 +184,10 @@ def step(
     filters, infos = jax.vmap(partial(inner.step, params.filter), (0, axes))(state.filters, one)
     mounting = jax.vmap(quat.normalize)(jnp.asarray(params.mounting, dtype))
     raw = jax.vmap(lambda q, m: quat.compose(q, quat.inverse(m)))(infos.quaternion, mounting)  # frame to earth
-    earth = jax.vmap(lambda q, c: _turned(quat.to_matrix(q), c))(infos.quaternion, infos.covariance)
+    earth = jax.vmap(lambda q, c: turned(quat.to_matrix(q), c))(infos.quaternion, infos.covariance)
     state, noise = _headings(robot, names, magnetic, params, state, raw, earth, infos.valid)
-    now = jnp.where(jnp.isfinite(measurement.dt), measurement.dt, 0)
-    share = jnp.clip(now / (2 * jnp.asarray(params.memory, dtype)), 0, 1)
-    state, fused, residual, up = _solved(robot, names, free, params, state, raw, noise, share, iterations)
+    bound = robot, names, free, magnetic, iterations
+    state, fused, residual, up = _solved(*bound, params, state, raw, noise, _share(params, measurement.dt, dtype))
     across = spread(robot, movers(robot.topology, names), state.q)
     prior = jnp.asarray(params.prior, dtype)
     still = jnp.where(jnp.any(across != 0, axis=1), 0, prior)
@@ -199,7 +199,7 @@ def step(
     variance = jnp.diagonal(covariance)
     rest = before - variance  # an unknown heading and the prior are both in it: 1 / (1 / variance - 1 / before) is told
     known = jnp.where(rest > variance, 1 - variance / jnp.where(rest > variance, rest, 1), 0)
-    corrected = jax.vmap(lambda h, q: quat.compose(_about_up(-h), q))(state.heading, infos.quaternion)
+    corrected = jax.vmap(lambda h, q: quat.compose(about_up(-h), q))(state.heading, infos.quaternion)
     finite = jnp.isfinite(jnp.sum(covariance)) & jnp.isfinite(jnp.sum(state.q))
     status = jnp.maximum(jnp.max(infos.status), jnp.where(finite, OK, NOT_CONVERGED)).astype(jnp.int32)
     status = jnp.where(jnp.any(infos.status == NON_FINITE), NON_FINITE, status)
@@ -219,7 +219,7 @@ def _headings(
         return state._replace(heading_variance=variance, begun=valid), earth
     model, _ = rotations(robot, state.q, names)
     new = valid & ~state.begun
-    turn = jax.vmap(lambda r, m: 2 * jnp.arctan2(*_twist(quat.compose(r, quat.inverse(m)))))(raw, model)
+    turn = jax.vmap(lambda r, m: 2 * jnp.arctan2(*twist(quat.compose(r, quat.inverse(m)))))(raw, model)
     first = jnp.where(new, jnp.broadcast_to(jnp.asarray(params.initial_heading, dtype), (count,)), 0)
     grown = jnp.where(state.begun, jnp.maximum(variance - state.heading_variance, 0), 0)
     more = jnp.diag(grown + first * first)
@@ -241,12 +241,13 @@ def _solved(
     robot: Robot,
     names: Any,
     free: Loose,
+    magnetic: bool,
+    iterations: int,
     params: Params,
     state: State,
     raw: Array,
     noise: Array,
     share: Array,
-    iterations: int,
 ) -> tuple[State, Any, Array, Array]:
     """Move joints, and headings at last; return also residuals (n, 3) and turns about the vertical (n, nv)."""
     moving = movers(robot.topology, names)
@@ -254,10 +255,11 @@ def _solved(
 
     def once(carry: Any, share: Array) -> Any:
         q, heading, before = carry
-        seen = jax.vmap(lambda h, r: quat.compose(_about_up(-h), r))(heading, raw)
+        seen = jax.vmap(lambda h, r: quat.compose(about_up(-h), r))(heading, raw)
         error, slope = errors(robot, q, names, None, seen)
         across = spread(robot, moving, q)
-        fused = fuse(slope @ across, noise, error, before, share, groups)
+        given = slope @ across, noise, error, before
+        fused = joints(*given) if magnetic else fuse(*given, share, groups)
         move = jnp.clip(fused.move, *_room(robot, moving, q))
         q = coupled(robot, moved(robot, q, across @ move))
         after = Prior(fused.heading_covariance, fused.heading_doubt, prior, before.gone + move)
@@ -267,7 +269,7 @@ def _solved(
     size = spread(robot, moving, state.q).shape[1]
     before = Prior(state.heading_covariance, state.heading_doubt, prior, jnp.zeros(size, state.q.dtype))
     (q, heading, after), fused = jax.lax.scan(once, (state.q, state.heading, before), shares)
-    seen = jax.vmap(lambda h, r: quat.compose(_about_up(-h), r))(heading, raw)
+    seen = jax.vmap(lambda h, r: quat.compose(about_up(-h), r))(heading, raw)
     residual, slope = errors(robot, q, names, None, seen)
     state = state._replace(q=q, heading=heading, heading_covariance=after.heading, heading_doubt=after.doubt)
     return state, jax.tree.map(lambda x: x[-1], fused), residual, slope[:, 2]
@@ -279,21 +281,8 @@ def _room(robot: Robot, moving: tuple[int, ...], q: Array) -> tuple[Array, Array
     return jnp.clip(low - SLACK, -REACH, 0), jnp.clip(high + SLACK, 0, REACH)
 
 
-def _turned(matrix: Array, covariance: Array) -> Array:
-    half = jnp.sum(matrix[:, :, None] * covariance[None, :, :], axis=1)
-    return jnp.sum(half[:, None, :] * matrix[None, :, :], axis=2)
-
-
-def _about_up(angle: Array) -> Array:
-    zero = jnp.zeros_like(angle)
-    return jnp.stack([jnp.cos(angle / 2), zero, zero, jnp.sin(angle / 2)])
-
-
-def _twist(q: Array) -> tuple[Array, Array]:
-    """Sine and cosine of half the turn about the vertical that comes nearest."""
-    sign = jnp.where(q[0] < 0, -1, 1)
-    some = q[0] ** 2 + q[3] ** 2 > 0
-    return jnp.where(some, sign * q[3], 0), jnp.where(some, sign * q[0], 1)
+def _share(params: Params, dt: ArrayLike, dtype: Any) -> Array:
+    return jnp.clip(jnp.where(jnp.isfinite(dt), dt, 0) / (2 * jnp.asarray(params.memory, dtype)), 0, 1)
 
 
 __all__ = ["Info", "Params", "State", "Truth", "build", "simulate"]

@@ -11,6 +11,7 @@ from jaxest import kinematics, models
 from jaxest.filters import run
 from jaxest.simulate import grasp
 from jaxest.systems import posture
+from jaxest.systems._posture_fusion import Prior, fuse, joints
 from jaxest.systems._posture_links import loose, turned_any_way
 
 SITES = tuple(f"site:imu_{name}" for name in ("trunk", "upper_arm", "forearm", "hand"))
@@ -132,3 +133,24 @@ def test_loose_hinges_are_as_uncertain_as_the_turn_between_headings():
     assert (more(1.5)[[0, 1, 2, 6]] == 0).all()
     assert np.sqrt(more(0.1)[3]) == pytest.approx(1.814 * 2 * 0.1**2, rel=1e-3)
     assert more(1.0, alike=1.0).max() < 1e-6  # headings that are wrong together turn no joint
+
+
+def test_headings_that_are_known_leave_the_joints_alone():
+    """The short way with magnetometers is the long one with headings of no variance; and against NumPy in float64."""
+    random = np.random.default_rng(0)
+    n, k, prior = 4, 6, 3.0
+    design, error, gone = random.normal(size=(n, 3, k)), random.normal(size=(n, 3)), random.normal(size=k)
+    half = random.normal(size=(n, 3, 3))
+    noise = half @ half.transpose(0, 2, 1) + 0.1 * np.eye(3)
+    weight = np.linalg.inv(noise)
+    information = np.einsum("nij,nik,nkl->jl", design, weight, design) + np.eye(k) / prior
+    pull = np.einsum("nij,nik,nk->j", design, weight, error) - gone / prior
+    known = jnp.zeros((n, n), jnp.float32)
+    given = [jnp.asarray(x, jnp.float32) for x in (design, noise, error)]
+    before = Prior(known, known, jnp.float32(prior), jnp.asarray(gone, jnp.float32))
+    found = joints(*given, before), fuse(*given, before, jnp.float32(0.01), jnp.zeros((n, 0), jnp.float32))
+    for each in found:
+        np.testing.assert_allclose(each.covariance, np.linalg.inv(information), atol=1e-5)
+        np.testing.assert_allclose(each.move, np.linalg.solve(information, pull), atol=1e-5)
+        assert not np.any(each.heading_covariance)
+        assert not np.any(each.heading_move)
