@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from jaxest.filters._small import eigen4, inverse3, largest, outer, product, sandwich, written_out
+from jaxest.filters._bingham_spread import spread_of, turning
+from jaxest.filters._small import eigen4, inverse3, largest, outer, product, sandwich
 from jaxest.filters.bingham_pairs import Information, general, isotropic, noise_matrix, pair_matrix, parameter
 from jaxest.manifolds import quaternion as quat
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
@@ -172,26 +173,14 @@ def estimate(params: Params, state: State, *, information: Information | None = 
     )
     if information is None:
         gap = jnp.where(some, jnp.max(values) - values, 0)
-        covariance = _spread(gap * 3 / 8, vectors, q, margin)
+        covariance = spread_of(gap * 3 / 8, vectors, q, margin)
     else:
         # The product of two independent readings has no noise of its own on average, unlike the square of one.
         clean = product(r.T, second[:3, 3:])
-        precision = _turning((clean + clean.T) / 2, sandwich(r.T, inverse3(noise)))
+        precision = turning((clean + clean.T) / 2, sandwich(r.T, inverse3(noise)))
         wide = jnp.zeros((4, 4), dtype).at[1:, 1:].set(jnp.where(some, precision, 0))
-        covariance = _spread(*eigen4(wide), jnp.eye(4, dtype=dtype)[0], margin)
+        covariance = spread_of(*eigen4(wide), jnp.eye(4, dtype=dtype)[0], margin)
     return _rest(params, state, second, Estimate(q, covariance, noise[0], noise, a))
-
-
-def _spread(precision: Array, vectors: Array, q: Array, margin: Array) -> Array:
-    """Covariance (3, 3) from precisions (4,) of turns about the directions that unit quaternions (4, 4) lead in."""
-    prior = 3 / math.pi**2  # nothing known is about half a turn
-    variance = 1 / (jnp.maximum(precision - margin, 0) + prior)
-    w, x, y, z = q
-    zero = jnp.zeros_like(w)
-    # Rows of the vector part of conj(q) v.
-    back = jnp.stack([-x, w, z, -y, -y, -z, w, x, -z, y, -x, w]).reshape(3, 4) + zero
-    axes = written_out(back, vectors)
-    return written_out(axes * variance[None, :], axes.T)
 
 
 def _rest(params: Params, state: State, second: Array, found: Estimate) -> Estimate:
@@ -207,25 +196,6 @@ def _rest(params: Params, state: State, second: Array, found: Estimate) -> Estim
     lost = 16 * float(jnp.finfo(second.dtype).eps) * jnp.trace(second)
     spread = jnp.where(jnp.trace(spread) > 3 * lost, (spread + spread.T) / 2, lost * jnp.eye(3, dtype=second.dtype))
     return found._replace(bias=bias, residual=spread / free)
-
-
-def _turning(second: Array, weight: Array) -> Array:
-    """Sum of [b x]' W [b x] from the sum `second` of b b', both (3, 3) symmetric."""
-
-    def own(i: int) -> Array:
-        j, k = (i + 1) % 3, (i + 2) % 3
-        return second[j, j] * weight[k, k] + second[k, k] * weight[j, j] - 2 * second[j, k] * weight[j, k]
-
-    def off(i: int, j: int) -> Array:
-        k = 3 - i - j
-        return (
-            second[i, k] * weight[j, k] + second[j, k] * weight[i, k]
-            - second[i, j] * weight[k, k] - second[k, k] * weight[i, j]
-        )  # fmt: skip
-
-    x, y, z = own(0), own(1), own(2)
-    a, b, c = off(0, 1), off(0, 2), off(1, 2)
-    return jnp.stack([x, a, b, a, y, c, b, c, z]).reshape(3, 3)
 
 
 def step(

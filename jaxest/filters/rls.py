@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from jaxest.filters._rls_root import Triangle, square_root_step
 from jaxest.filters._small import eigen4, inverse3, outer, product
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
 
@@ -266,41 +267,6 @@ def usable(measurement: Observation, dtype: Any) -> tuple[Array, Array, Array, A
     status = jnp.where(broken, NON_FINITE, OK).astype(jnp.int32)
     o, y, noisy = (jnp.where(there, x, 0) for x in (o, y, noisy))
     return o, y, noisy, there, status
-
-
-class Triangle(NamedTuple):
-    """Square-root information: R with R'R = P^-1, and R x."""
-
-    root: Array
-    """(n, n) upper triangular."""
-    right: Array
-    """(n,) R x."""
-
-
-def square_root_step(state: Triangle, regressor: Array, target: Array, forgetting: ArrayLike = 1.0) -> Triangle:
-    """Take in one whitened observation by orthogonal rotations of the factor.
-
-    Args:
-        state: the factor; zeros before any data.
-        regressor: (m, n) O, each row divided by its observation's standard deviation.
-        target: (m,) y, likewise.
-        forgetting: () as in `Params`.
-
-    Returns:
-        The next factor. x = R^-1 right once R is regular.
-
-    Source: Bierman 1977 (Factorization Methods for Discrete Sequential Estimation), section IV.
-    """
-    n = state.root.shape[0]
-    kept = jnp.sqrt(jnp.asarray(forgetting, state.root.dtype))
-    stacked = jnp.concatenate(
-        [
-            kept * jnp.concatenate([state.root, state.right[:, None]], axis=1),
-            jnp.concatenate([regressor, target[:, None]], axis=1),
-        ]
-    )
-    top = jnp.linalg.qr(stacked, mode="r")[:n]
-    return Triangle(jnp.triu(top[:, :n]), top[:, n])
 
 
 __all__ = [

@@ -16,14 +16,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxest.filters._small import outer
 from jaxest.manifolds import quaternion as quat
+from jaxest.systems import _onsite_sums as sums
 from jaxest.systems import _onsite_window as win
 from jaxest.systems.onsite_simulation import Pair
 from jaxest.types import Array, ArrayLike, InputError
 
 ITERATIONS = 8
-SIZE = 15  # unknowns: position, turn, bias of gyro A, difference of gyro biases, difference of accelerometer biases
 
 
 class Prior(NamedTuple):
@@ -73,14 +72,6 @@ class Choice(NamedTuple):
     """() int32, N of its window."""
     all: Estimate
     """leaves (K, ...), one row per window."""
-
-
-class _Unknowns(NamedTuple):
-    position: Array
-    quaternion: Array
-    bias: Array
-    difference: Array
-    offset: Array
 
 
 TIMES = (0.05, 0.07, 0.1, 0.14)
@@ -145,22 +136,23 @@ def _solve(measurements: Pair, prior: Prior | None, half_width: Array, *, reach:
     settings = Prior() if prior is None else prior
     gyro, acc, *axes = (jnp.asarray(x, dtype) for x in settings)
     ready = windows.ready.astype(dtype)
-    state, spread = _start(windows, ready)
+    state, spread = sums.start(windows, ready)
     weights = (1 / (jnp.trace(spread) / 3), jnp.asarray(1.0, dtype))
 
     def body(turn: Array, carry: Any) -> Any:
         state, spread, weights = carry[:3]
-        h, g, scores = _normal(windows, ready, state, spread, weights, gyro, acc)
-        moved = _moved(state, jnp.where(turn < ITERATIONS, jnp.linalg.solve(h, -g), 0))
-        spread, force = _noise(windows, ready, moved, spread)
+        h, g, scores = sums.normal(windows, ready, state, spread, weights, gyro, acc)
+        moved = sums.moved(state, jnp.where(turn < ITERATIONS, jnp.linalg.solve(h, -g), 0))
+        spread, force = sums.noise(windows, ready, moved, spread)
         return moved, spread, (3 / jnp.trace(spread), 1 / force), h, scores
 
-    zero = jnp.zeros((SIZE, SIZE), dtype)
-    carry = (state, spread, weights, zero, jnp.zeros((len(ready), SIZE), dtype))
+    zero = jnp.zeros((sums.SIZE, sums.SIZE), dtype)
+    carry = (state, spread, weights, zero, jnp.zeros((len(ready), sums.SIZE), dtype))
     # The last pass moves nothing: it reads what belongs to the solution.
     state, spread, weights, h, scores = jax.lax.fori_loop(0, ITERATIONS + 1, body, carry)
-    bent = _bent(windows, ready, state, spread, weights) * jnp.repeat(jnp.stack(axes), 18)[None, :]
-    return _read(state, h, scores, _precision(gyro, acc, dtype), bent, weights, ready, 4 * (2 * half_width + 1), degree)
+    bent = sums.bent(windows, ready, state, spread, weights) * jnp.repeat(jnp.stack(axes), 18)[None, :]
+    known, block = sums.precision(gyro, acc, dtype), 4 * (2 * half_width + 1)
+    return _read(state, h, scores, known, bent, weights, ready, block, degree)
 
 
 def _windows(measurements: Pair, half_width: Array, reach: int, degree: int) -> win.Window:
@@ -198,103 +190,8 @@ def _windows(measurements: Pair, half_width: Array, reach: int, degree: int) -> 
     return jax.vmap(one)(jnp.arange(count))
 
 
-def _start(windows: win.Window, ready: Array) -> tuple[_Unknowns, Array]:
-    """Rotation by the q-method, position by least squares, and the noise of the rates' difference."""
-    count = jnp.maximum(jnp.sum(ready), 1)
-    a, p = (jnp.where(ready[:, None] > 0, side.rate, 0) for side in (windows.a, windows.p))
-    a0, p0 = jnp.sum(a, axis=0) / count, jnp.sum(p, axis=0) / count
-    left, right = ((x - m[None]) * ready[:, None] for x, m in ((a, a0), (p, p0)))
-    u, _, vt = jnp.linalg.svd(left.T @ right)
-    sign = jnp.sign(jnp.linalg.det(u) * jnp.linalg.det(vt))
-    rotation = (u * jnp.stack([jnp.ones_like(sign), jnp.ones_like(sign), sign])[None, :]) @ vt
-    q = quat.from_matrix(rotation)
-    difference = a0 - rotation @ p0
-    zero = jnp.zeros(3, a.dtype)
-    state = _Unknowns(zero, q, difference / 2, difference, zero)
-    spread, _ = _noise(windows, ready, state, jnp.zeros((3, 3), a.dtype))
-    return state, spread
-
-
-def _noise(windows: win.Window, ready: Array, state: _Unknowns, spread: Array) -> tuple[Array, Array]:
-    """Covariance of the rates' difference and variance of the forces', as of single samples."""
-
-    def one(window: win.Window, there: Array) -> tuple[Array, Array]:
-        rate, force = _residual(window, state, spread)
-        return there * outer(rate, rate), there * jnp.sum(force * force) / 3
-
-    rate, force = (jnp.sum(x, axis=0) for x in jax.vmap(one)(windows, ready))
-    total = jnp.maximum(jnp.sum(ready * windows.gain), jnp.finfo(spread.dtype).tiny)
-    floor = jnp.finfo(spread.dtype).eps
-    return rate / total + floor * jnp.eye(3, dtype=spread.dtype), force / total + floor
-
-
-def _residual(window: win.Window, state: _Unknowns, spread: Array) -> tuple[Array, Array]:
-    r = quat.to_matrix(state.quaternion)
-    bias_p = r.T @ (state.bias - state.difference)
-    o = win.regressor(window, r, state.bias, bias_p, spread)
-    rate = window.a.rate - r @ window.p.rate - state.difference
-    return rate, r @ window.p.force - window.a.force - o @ state.position - state.offset
-
-
-def _moved(state: _Unknowns, d: Array) -> _Unknowns:
-    return _Unknowns(
-        state.position + d[:3], quat.retract(state.quaternion, d[3:6]), state.bias + d[6:9],
-        state.difference + d[9:12], state.offset + d[12:],
-    )  # fmt: skip
-
-
-def _normal(
-    windows: win.Window, ready: Array, state: _Unknowns, spread: Array, weights: Any, gyro: Array, acc: Array
-) -> tuple[Array, Array, Array]:
-    """Hessian, gradient, and score of every window."""
-    dtype = ready.dtype
-    scale = jnp.concatenate([jnp.broadcast_to(weights[0], 3), jnp.broadcast_to(weights[1], 3)])
-
-    def both(window: win.Window, d: Array) -> Array:
-        return jnp.concatenate(_residual(window, _moved(state, d), spread))
-
-    def one(window: win.Window, there: Array) -> tuple[Array, Array]:
-        zero = jnp.zeros(SIZE, dtype)
-        e, slope = both(window, zero), jax.jacfwd(partial(both, window))(zero)
-        # The derivatives' noise adds to the regressor's square on average, and to nothing else.
-        noisy = weights[1] * win.turning_noise(spread * window.steep / 4)
-        weighted = scale[:, None] * slope
-        h = slope.T @ weighted - jnp.zeros((SIZE, SIZE), dtype).at[:3, :3].set(noisy)
-        score = weighted.T @ e - zero.at[:3].set(noisy @ state.position)
-        return there * h, there * score
-
-    h, score = jax.vmap(one)(windows, ready)
-    precision = _precision(gyro, acc, dtype)
-    at = jnp.concatenate([jnp.zeros(6, dtype), state.bias, state.difference, state.offset])
-    return jnp.sum(h, axis=0) + precision, jnp.sum(score, axis=0) + precision @ at, score
-
-
-def _bent(windows: win.Window, ready: Array, state: _Unknowns, spread: Array, weights: Any) -> Array:
-    """What the entries of four matrices, by which gyros and accelerometers are off, do to the gradient, (SIZE, 36)."""
-    dtype = ready.dtype
-    scale = jnp.concatenate([jnp.broadcast_to(weights[0], 3), jnp.broadcast_to(weights[1], 3)])
-
-    def one(window: win.Window, there: Array) -> Array:
-        def at(d: Array, off: Array) -> Array:
-            return jnp.concatenate(_residual(win.bent(window, off.reshape(4, 3, 3)), _moved(state, d), spread))
-
-        slope, by = jax.jacfwd(at, (0, 1))(jnp.zeros(SIZE, dtype), jnp.zeros(36, dtype))
-        found: Array = there * (slope.T @ (scale[:, None] * by))
-        return found
-
-    return jnp.sum(jax.vmap(one)(windows, ready), axis=0)
-
-
-def _precision(gyro: Array, acc: Array, dtype: Any) -> Array:
-    """Precision (SIZE, SIZE) of the prior: b_A and b_P = R'(b_A - c) each have the gyros'."""
-    eye, none = jnp.eye(3, dtype=dtype), jnp.zeros((3, 3), dtype)
-    gyros = jnp.block([[2 * eye, -eye], [-eye, eye]]) / gyro**2
-    precision = jnp.zeros((SIZE, SIZE), dtype).at[6:12, 6:12].set(gyros)
-    return precision.at[12:, 12:].set(eye / (2 * acc**2) + none)
-
-
 def _read(
-    state: _Unknowns, h: Array, scores: Array, precision: Array, bent: Array, weights: Any, ready: Array,
+    state: sums.Unknowns, h: Array, scores: Array, precision: Array, bent: Array, weights: Any, ready: Array,
     block: Array, degree: int,
 ) -> Estimate:  # fmt: skip
     inverse = jnp.linalg.inv(h)

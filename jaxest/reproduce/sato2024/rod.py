@@ -1,6 +1,5 @@
 """The rod with two IMUs: Fig. 5 with the calibration of section III-E, sensors' noise, and section V-B."""
 
-import functools
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -10,38 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.calibration import imu
 from jaxest.filters import last, run
 from jaxest.io.report import Row
 from jaxest.manifolds import quaternion as quat
 from jaxest.reproduce import Choice, Say, Section, canvas
-from jaxest.simulate.noise import Triad, corrupt
+from jaxest.reproduce.sato2024.recorded import RATE, SHAKING, Recorded, corrected, params, record
 from jaxest.systems import onsite, onsite_batch
 from jaxest.systems.onsite_simulation import Pair
-from jaxest.types import Reading
 
-RATE = 100.0
-REST, TURNING, SHAKING = 1000, 10000, 4000  # samples. Source: Sato 2024, section III-E
-GYRO = Triad(density=0.01 / np.sqrt(RATE), bias=0.05)
-ACCELEROMETER = Triad(density=0.05 / np.sqrt(RATE), bias=0.3, scale=0.02, misalignment=np.deg2rad(1.0))
 PAPER = {"half_width": 3, "degree": 5, "plain": True}
 NOISES = {"gyro 0.01 rad/s, accelerometer 0.05 m/s2": (0.01, 0.05), "three times the noise": (0.03, 0.1)}
 _OWN = ("accelerometer_axes", "accelerometer_bias")
 LEFT = ("accelerometer_relative", "accelerometer_bias_deviation")
 CHI2 = 7.815  # 95 % of three degrees of freedom
-
-
-class Recorded(NamedTuple):
-    """A rod's readings, NumPy arrays."""
-
-    readings: tuple[NDArray[np.float64], ...]
-    """gyro and accelerometer of A, then of P, (T, 3) each: a rest, slow turning, shaking."""
-    rate: NDArray[np.float64]
-    """(T, 3) rad/s, true, in A."""
-    position: NDArray[np.float64]
-    """(3,) m, of P in A."""
-    quaternion: NDArray[np.float64]
-    """(4,) wxyz."""
 
 
 class Off(NamedTuple):
@@ -55,73 +35,6 @@ class Off(NamedTuple):
     """(n,) whether the 95 % ellipsoid holds the position"""
     turned: NDArray[np.bool_]
     """(n,) likewise the rotation"""
-
-
-@functools.cache
-def params() -> onsite.Params:
-    """Return the live system's parameters, float32."""
-    given = jax.tree.map(np.float32, onsite.build().default_params)
-    return onsite.Params(*given)
-
-
-@partial(jax.jit, static_argnames=("steps", "speed", "slowest", "fastest", "shaking"))
-def _ideal(key: Any, steps: int, speed: float, slowest: float, fastest: float, shaking: float) -> Any:
-    return onsite.simulate(
-        params(), key=key, steps=steps, speed=speed, slowest=slowest, fastest=fastest, shaking=shaking, gyroscope=0.0,
-        accelerometer=0.0,
-    )  # fmt: skip
-
-
-@jax.jit
-def _corrupted(key: Any, value: Any, dt: Any, triad: Triad) -> Any:
-    return corrupt(key, triad, value, dt)[0]
-
-
-def record(seed: int, *, small: bool = False) -> Recorded:
-    """Let a rod rest, turn slowly, and be shaken by hand; its sensors come as they are."""
-    rest, turning, shaking = (300, 2000, 600) if small else (REST, TURNING, SHAKING)
-    keys = jax.random.split(jax.random.key(seed), 5)
-    parts, truths = zip(
-        _ideal(keys[0], rest, 0.0, 0.5, 1.5, 0.0), _ideal(keys[0], turning, 0.25, 0.01, 0.06, 0.0),
-        _ideal(keys[0], shaking, 1.0, 0.5, 1.5, 1.0), strict=True,
-    )  # fmt: skip
-    dt = jnp.full(rest + turning + shaking, 1 / RATE, jnp.float32).at[0].set(0)
-    readings = []
-    for key, name in zip(keys[1:], Pair._fields[:4], strict=True):
-        value = jnp.concatenate([getattr(part, name).value for part in parts])
-        triad = GYRO if "gyro" in name else ACCELEROMETER
-        readings.append(np.asarray(_corrupted(key, value, dt, triad), np.float64))
-    truth = truths[2]
-    rate = np.concatenate([np.asarray(t.rate, np.float64) for t in truths])
-    return Recorded(tuple(readings), rate, np.asarray(truth.position, float), np.asarray(truth.quaternion, float))
-
-
-def corrected(one: Recorded, *, small: bool = False, calibrating: bool = True) -> tuple[Pair, list[imu.Calibration]]:
-    """Calibrate from rest and turning, and correct the shaking.
-
-    Args:
-        one: the recording.
-        small: as it was recorded.
-        calibrating: whether to calibrate the accelerometers too.
-
-    Returns:
-        The shaking's measurements, float32, and the calibrations of A and P.
-    """
-    rest, turning = (300, 2000) if small else (REST, TURNING)
-    time = np.arange(len(one.readings[0])) / RATE
-    still, slow, shaken = slice(0, rest), slice(rest, rest + turning), slice(rest + turning, None)
-    found: list[imu.Calibration] = []
-    values: list[NDArray[np.float64]] = []
-    for gyro, force in (one.readings[:2], one.readings[2:]):
-        resting, turned = (imu.Readings(time[s], gyro[s], force[s]) for s in (still, slow))
-        found.append(imu.calibrate(resting, turned if calibrating else None))
-        values += imu.apply(found[-1], gyro[shaken], force[shaken])
-    there: Any = np.ones(len(values[0]), np.bool_)
-    dt = np.full(len(there), 1 / RATE, np.float32)
-    dt[0] = 0
-    readings: Any = [Reading(x.astype(np.float32), there) for x in values]  # type: ignore[arg-type]
-    a, b, c, d = readings
-    return Pair(a, b, c, d, dt), found
 
 
 @partial(jax.jit, static_argnames=("half_width", "degree", "plain"))
