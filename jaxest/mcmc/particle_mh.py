@@ -7,6 +7,7 @@ Source: Andrieu, Doucet and Holenstein 2010, section 2.4.2; delayed acceptance, 
 section 5.
 """
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -84,6 +85,37 @@ def baseline(model: Model, look: Look, *, count: int = 1000, threshold: float = 
     return kernel
 
 
+@partial(jax.jit, static_argnums=0, static_argnames=("count", "repeats"))
+def log_likelihoods(
+    model: Model, params: Params, data: Data, unknowns: Unknown, *, key: Array, count: int = 16, repeats: int = 32
+) -> Array:
+    """Estimate log p(y | theta, variances) again and again, as `guided` does: how far its estimates scatter.
+
+    Args:
+        model: the model.
+        params: parameters.
+        data: the series.
+        unknowns: where, leaves (U, ...).
+        key: random key.
+        count: N, particles; static.
+        repeats: estimates at each place; static.
+
+    Returns:
+        (U, repeats)
+    """
+
+    def estimate(unknown: Unknown, key: Array) -> Array:
+        linear = params.tuning.linear
+        twist = backward(model, params.prior, data, linear, unknown.variances)
+        found = conditional_smc.at_once(model, params.model, data, linear, twist, unknown, key=key, count=count)
+        return found.log_evidence
+
+    def place(now: tuple[Unknown, Array]) -> Array:
+        return jax.lax.map(partial(estimate, now[0]), jax.random.split(now[1], repeats))
+
+    return jax.lax.map(place, (unknowns, jax.random.split(key, unknowns.variances.shape[0])))
+
+
 def _walk(params: Params, unknown: Unknown, key: Array, p: int) -> tuple[Unknown, Array]:
     """A step on theta and log variances, and the log ratio of the prior densities of these coordinates."""
     tuning, prior = params.tuning, params.prior
@@ -109,4 +141,4 @@ def _decided(
     return finish(state, path, unknown, yes.astype(path.dtype), found.ess, log_likelihood, model)
 
 
-__all__ = ["baseline", "guided"]
+__all__ = ["baseline", "guided", "log_likelihoods"]

@@ -2,20 +2,25 @@
 
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxest.io.report import Row
+from jaxest.mcmc import particle_mh
+from jaxest.mcmc.model import Unknown
 from jaxest.reproduce import Choice, Say, Section, canvas
 from jaxest.reproduce.zakeri2023 import runs
 from jaxest.reproduce.zakeri2023.figures import health, tau_rows
-from jaxest.systems import torque_settings
+from jaxest.systems import torque_model, torque_settings
 from jaxest.systems.torque_settings import TORQUE
 
 BASELINES = {"gibbs_bootstrap": 1000, "gibbs_adapted": 1000, "gibbs_adapted_ancestors": 1000, "mh_bootstrap": 1000}
 ITERATIONS = 100  # of a baseline: enough to see that nothing moves, and each costs a hundred guided ones
-PARTICLES = (4, 16, 64)
+PARTICLES = (4, 8, 16, 64)
 STARTS = 5
 DATA_SETS = 20
+PLACES = 20  # draws at which the log-likelihood is estimated again and again
 
 
 def baselines(choice: Choice, say: Say) -> Section:
@@ -59,16 +64,37 @@ def particles(choice: Choice, say: Say) -> Section:
         rows += [
             row for row in health(found, f"guided, N = {count}") if row.metric not in ("R-hat, largest", "verdict")
         ]
+        rows += _scatter(found, count, choice)
 
     def paint(figure: Any) -> None:
         axis = canvas.plain(figure.subplots(), xlabel="time step", ylabel="path updated, share of iterations")
-        for color, (count, one) in zip((canvas.ORANGE, canvas.BLUE, canvas.GREEN), shown.items(), strict=True):
+        for color, (count, one) in zip((canvas.ORANGE, canvas.RED, canvas.BLUE, canvas.GREEN), shown.items(), strict=True):
             axis.plot(one.updates.mean(axis=0), color=color, label=f"N = {count}")
         axis.set_ylim(0, 1.05)
         axis.legend(frameon=False)
 
     title = "Guided particle Gibbs by number of particles"
     return Section("particles", title, rows, lambda path: canvas.save(path, (8, 4), paint, title))
+
+
+def _scatter(found: runs.Result, count: int, choice: Choice) -> list[Row]:
+    """Estimate the log-likelihood again and again at some draws of a run."""
+    setting = choice.setting or runs.DEFAULT
+    params = runs.tuned(setting, choice.seed, choice.small)
+    draws = [x.reshape(-1, x.shape[-1]) for x in (found.posterior.theta, found.posterior.variances)]
+    pick = np.linspace(0, len(draws[0]) - 1, 2 if choice.small else PLACES).astype(int)
+    with jax.enable_x64(True):
+        places = Unknown(*(jnp.asarray(x[pick]) for x in draws))
+        logs = particle_mh.log_likelihoods(
+            torque_model.constant(7), params, found.scene.data, places, key=jax.random.key(choice.seed), count=count
+        )
+    sd = np.asarray(logs).std(axis=1, ddof=1)
+    condition = f"guided, N = {count}"
+    return [
+        Row("sd of the log-likelihood estimate", condition, float(np.sqrt(np.mean(sd**2))), "1", float(sd.std()),
+            logs.size),
+        Row("sd of the log-likelihood estimate, worst draw", condition, float(sd.max()), "1", n=logs.shape[1]),
+    ]  # fmt: skip
 
 
 def accuracy(choice: Choice, say: Say) -> Section:
