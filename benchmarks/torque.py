@@ -6,7 +6,7 @@
 Each sampler runs four chains from dispersed starts until every parameter has so many effective draws, bulk and tail, or
 until the chains have so many iterations each. Rows: the largest distance of the means to the oracle's in its posterior
 deviations, the farthest ratio of deviations, for the torques and for the logarithms of the variances of S1 and S3; S2
-beside its prior; and what the chains say of themselves. An oracle is a file as `joint_torque.md` beside it describes.
+beside its prior; what the chains say of themselves; and how far estimates of the log-likelihood scatter. An oracle is a file as `joint_torque.md` beside it describes.
 Accuracy over many data sets is `jaxest reproduce zakeri2023 --part accuracy`, speed `jaxest bench torque`.
 """
 
@@ -24,7 +24,8 @@ from scipy.special import polygamma, psi
 from jaxest import kinematics, models
 from jaxest.io.chains import sample
 from jaxest.io.report import Row, report, to_json
-from jaxest.mcmc.model import Data, Prior
+from jaxest.mcmc import particle_mh
+from jaxest.mcmc.model import Data, Prior, Unknown
 from jaxest.systems import torque_model, torque_posterior, torque_sampler
 from jaxest.systems.torque_model import Inputs
 
@@ -90,6 +91,21 @@ def against(oracle: Any, name: str, found: torque_posterior.Posterior, prior: Pr
     return rows
 
 
+def scatter(oracle: Any, params: Any, data: Data, seed: int) -> list[Row]:
+    """Estimate the log-likelihood again and again, with 16 guided particles, at draws of the oracle."""
+    p = params.prior.low.shape[0]
+    places = oracle["draws"][:: max(len(oracle["draws"]) // 40, 1)]
+    if not np.all(places[:, p:] > 0):
+        raise SystemExit("oracle: draws of the variances are not positive")
+    unknown = Unknown(jnp.asarray(places[:, :p]), jnp.asarray(places[:, p:]))
+    model = torque_model.constant(p)
+    found = particle_mh.log_likelihoods(model, params, data, unknown, key=jax.random.key(seed + 3))
+    sd = np.asarray(found).std(axis=1, ddof=1)
+    condition = f"16 guided particles, {found.shape[1]} estimates at each of {len(sd)} draws of the oracle"
+    return [Row("sd of the log-likelihood estimate", condition, float(np.sqrt(np.mean(sd**2))), "1", float(sd.std())),
+            Row("sd of the log-likelihood estimate, worst", condition, float(sd.max()), "1")]  # fmt: skip
+
+
 def measure(oracle: Any, robot: Any, name: str, params: Any, data: Data, given: argparse.Namespace) -> list[Row]:
     """Run one sampler until it has the effective draws asked for."""
     model = torque_model.constant(robot.nv)
@@ -125,7 +141,7 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("oracle", type=Path, nargs="+", help="files of known posteriors")
-    parser.add_argument("--samplers", nargs="+", choices=torque_sampler.SAMPLERS, default=SAMPLERS)
+    parser.add_argument("--samplers", nargs="*", choices=torque_sampler.SAMPLERS, default=SAMPLERS)
     parser.add_argument("--draws", type=float, default=1000, help="effective draws to wait for")
     parser.add_argument("--most", type=int, default=20000, help="iterations of a chain at most")
     parser.add_argument("--seed", type=int, default=0)
@@ -134,7 +150,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     jax.config.update("jax_num_cpu_devices", given.devices)
-    jax.config.update("jax_enable_x64", True)  # noqa: FBT003
+    jax.config.update("jax_enable_x64", True)
     robot = kinematics.load(given.robot or models.path("baxter_left_arm"))
     rows: list[Row] = []
     for file in given.oracle:
@@ -143,8 +159,10 @@ def main() -> None:
         say(f"{file.name}: warm-up")
         key = jax.random.key(given.seed)
         params = torque_sampler.tune(torque_model.constant(robot.nv), robot, prior, data, key=key)
-        for name in given.samplers:
-            made = measure(oracle, robot, name, params, data, given)
+        for name in ("", *given.samplers):
+            made = (
+                measure(oracle, robot, name, params, data, given) if name else scatter(oracle, params, data, given.seed)
+            )
             rows += made
             for row in made if not given.json else ():
                 spread = "" if row.spread is None else f" +- {row.spread:.2g}"

@@ -188,6 +188,7 @@ def at_once(
     count: int,
     path: Array | None = None,
     block: int = 1,
+    corrected: bool = False,
 ) -> Particles:
     """Draw whole paths from the linear model given the data, and weigh them; arguments as in `run`.
 
@@ -206,24 +207,42 @@ def at_once(
         path: (T, n) that must survive, or None.
         block: paths whose steps are computed together, a divisor of N; static. With some chains one is enough to keep
             a processor busy, and more do not fit its cache.
+        corrected: whether paths are drawn once more from the same numbers, the linear model's steps moved by what they
+            missed at the first; takes most of the error of the linear model out of the
+            weights, at twice the dynamics. Only without a path to keep; static.
 
     Returns:
         A path and what became of the weights; the effective sample size is the same at all times.
+
+    Raises:
+        ValueError: `corrected` with a path to keep, whose numbers are not known.
     """
+    if corrected and path is not None:
+        raise ValueError("corrected: expected no path to keep")
     steps, n = linear.path.shape
     key_normal, key_choice = jax.random.split(key)
     fresh = count if path is not None else (count + 1) // 2
     normal = normals(key_normal, fresh, steps, n)
     normal = normal if path is not None else jnp.concatenate([normal, -normal])[:count]
-    paths = draw(flow(twist, linear, unknown.theta), linear, normal)
+    given = flow(twist, linear, unknown.theta)
+    paths = draw(given, linear, normal)
     paths = paths if path is None else paths.at[0].set(path)
-    blocks = paths.reshape(-1, block if count % block == 0 else 1, steps, n)
 
-    def weigh(path: Array) -> Array:
-        error = remainder(model, params, linear, unknown.theta, data, path)
-        return log_weight(model, data, linear, unknown, path, error)
+    def missed(path: Array) -> Array:
+        return remainder(model, params, linear, unknown.theta, data, path)
 
-    weights = jax.lax.map(jax.vmap(weigh), blocks).reshape(count)
+    def by_blocks(paths: Array) -> Array:
+        blocks = paths.reshape(-1, block if count % block == 0 else 1, steps, n)
+        return jax.lax.map(jax.vmap(missed), blocks).reshape(count, steps - 1, n)
+
+    errors, moved = by_blocks(paths), jnp.zeros(count)
+    if corrected:
+        # Each state is still its normal numbers, scaled, plus what earlier numbers say: the density is known.
+        paths = draw(given, linear, normal, errors)
+        apart = jnp.einsum("tji,tjk,Ntk->Nti", twist.root[1:], given.left[1:], errors)
+        moved = -jnp.sum((normal[:, 1:] + apart / 2) * apart, axis=(1, 2))
+        errors = by_blocks(paths)
+    weights = moved + jax.vmap(lambda path, error: log_weight(model, data, linear, unknown, path, error))(paths, errors)
     log, total, _ = normalize(weights)
     index = jax.random.categorical(key_choice, log)
     size = jnp.asarray(count, total.dtype)

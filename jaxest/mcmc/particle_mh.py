@@ -42,7 +42,9 @@ def guided(model: Model, *, count: int = 16, at_once: bool = True, threshold: fl
         unknown, later = surrogate(model, params, data, state.unknown, twist, key=keys[0])
         options: dict[str, Any] = {"key": keys[1], "count": count}
         if at_once:
-            found = conditional_smc.at_once(model, params.model, data, linear, later, unknown, **options)
+            found = conditional_smc.at_once(
+                model, params.model, data, linear, later, unknown, corrected=True, **options
+            )
         else:
             options["threshold"] = threshold
             later = backward(model, params.prior, data, linear, unknown.variances, True)
@@ -107,7 +109,9 @@ def log_likelihoods(
     def estimate(unknown: Unknown, key: Array) -> Array:
         linear = params.tuning.linear
         twist = backward(model, params.prior, data, linear, unknown.variances)
-        found = conditional_smc.at_once(model, params.model, data, linear, twist, unknown, key=key, count=count)
+        found = conditional_smc.at_once(
+            model, params.model, data, linear, twist, unknown, key=key, count=count, corrected=True
+        )
         return found.log_evidence
 
     def place(now: tuple[Unknown, Array]) -> Array:

@@ -188,6 +188,8 @@ class Flow(NamedTuple):
     """(T, n)"""
     root: Array
     """(T, n, n), inverse transposed of the twist's root."""
+    left: Array
+    """(T, n, n) what is left of a change of state t's prediction once the data are known."""
 
 
 def flow(twist: Twist, linear: Linear, theta: Array) -> Flow:
@@ -199,12 +201,24 @@ def flow(twist: Twist, linear: Linear, theta: Array) -> Flow:
     away = theta - linear.centre
     shift = linear.offset + jnp.einsum("tip,p->ti", linear.design, away)
     offset = jnp.einsum("tij,tj->ti", left, shift) - back[:, :, n] - jnp.einsum("tip,p->ti", back[:, :, n + 1 :], away)
-    return Flow(product(left, linear.jacobian), offset, root)
+    return Flow(product(left, linear.jacobian), offset, root, left)
 
 
-def draw(given: Flow, linear: Linear, normal: Array) -> Array:
-    """Turn standard normal numbers (N, T, n) into paths (N, T, n) of the linear model given the data."""
+def draw(given: Flow, linear: Linear, normal: Array, moved: Array | None = None) -> Array:
+    """Turn standard normal numbers (N, T, n) into paths (N, T, n) of the linear model given the data.
+
+    Args:
+        given: how states follow each other.
+        linear: the linear model.
+        normal: (N, T, n).
+        moved: (N, T - 1, n) by how much each path's predictions of states 1 ... are moved first; by nothing if None.
+
+    Returns:
+        (N, T, n)
+    """
     noise = jnp.einsum("tij,Ntj->tNi", given.root, normal) + given.offset[:, None]
+    if moved is not None:
+        noise = noise.at[1:].add(jnp.einsum("tij,Ntj->tNi", given.left[1:], moved))
 
     def advance(x: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
         gain, noise = now

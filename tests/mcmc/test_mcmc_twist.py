@@ -91,14 +91,20 @@ def test_filters_of_a_nonlinear_model_agree():
         plain = conditional_smc.run(*common, bootstrap, one.unknown, key=key, count=400)
         guided = conditional_smc.run(*common, given, one.unknown, key=key, count=16)
         whole = conditional_smc.at_once(*common, given, one.unknown, key=key, count=16)
-        return jnp.stack([plain.log_evidence, guided.log_evidence, whole.log_evidence])
+        again = conditional_smc.at_once(*common, given, one.unknown, key=key, count=16, corrected=True)
+        return jnp.stack([x.log_evidence for x in (plain, guided, whole, again)])
 
     found = jax.jit(jax.vmap(estimates))(jax.random.split(jax.random.key(1), 100))
     top = jnp.max(found)
     means, errors = jnp.exp(found - top).mean(0), jnp.exp(found - top).std(0) / 10
-    for i in (1, 2):
+    for i in (1, 2, 3):
         assert abs(means[i] - means[0]) < 4 * jnp.hypot(errors[i], errors[0])
         assert errors[i] < errors[0] / 5
+    assert errors[3] < errors[2] / 2
+    with pytest.raises(ValueError, match="expected no path to keep"):
+        conditional_smc.at_once(
+            *common, given, one.unknown, key=jax.random.key(0), count=4, path=one.path, corrected=True
+        )
 
 
 def test_the_path_found_is_that_of_the_shared_smoother():

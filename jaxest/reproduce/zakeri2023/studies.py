@@ -68,7 +68,9 @@ def particles(choice: Choice, say: Say) -> Section:
 
     def paint(figure: Any) -> None:
         axis = canvas.plain(figure.subplots(), xlabel="time step", ylabel="path updated, share of iterations")
-        for color, (count, one) in zip((canvas.ORANGE, canvas.RED, canvas.BLUE, canvas.GREEN), shown.items(), strict=True):
+        for color, (count, one) in zip(
+            (canvas.ORANGE, canvas.RED, canvas.BLUE, canvas.GREEN), shown.items(), strict=True
+        ):
             axis.plot(one.updates.mean(axis=0), color=color, label=f"N = {count}")
         axis.set_ylim(0, 1.05)
         axis.legend(frameon=False)
