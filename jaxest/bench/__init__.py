@@ -29,6 +29,7 @@ CASES = {
     "orientation": "jaxest.bench.orientation",
     "posture": "jaxest.bench.posture",
     "slam": "jaxest.bench.slam",
+    "torque": "jaxest.bench.torque",
 }
 """Name of a case, and the module that holds it."""
 

@@ -5,10 +5,16 @@ from typing import Annotated
 
 import typer
 
+from jaxest.cli.devices import Devices
 from jaxest.cli.output import Answer, Json, Verbose, command, console, json_object, working
 
 NAME = "bench"
-EXAMPLES = ("jaxest bench orientation", "jaxest bench kinematics --robot panda.xml", "jaxest bench --no-peers --json")
+EXAMPLES = (
+    "jaxest bench orientation",
+    "jaxest bench kinematics --robot panda.xml",
+    "jaxest bench torque --devices 2",
+    "jaxest bench --no-peers --json",
+)
 
 
 @command
@@ -27,6 +33,7 @@ def run(
         typer.Option("--robot", help="Another robot to measure (MJCF or URDF); may be given several times."),
     ] = None,
     show: Annotated[bool, typer.Option("--list", help="Name the cases and leave.")] = False,
+    devices: Devices = None,
     json: Json = False,
     verbose: Verbose = False,
 ) -> Answer:
@@ -34,7 +41,7 @@ def run(
 
     The spread is the interquartile range. A ratio is the median of the rounds' ratios to the peer.
     """
-    del verbose
+    del verbose, devices
     from jaxest import bench
     from jaxest.cli.tables import figures
     from jaxest.io.report import report, to_json

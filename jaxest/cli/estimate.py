@@ -30,7 +30,7 @@ EXAMPLES = (
     "jaxest estimate log.csv -m orientation -c config.toml --start 10 --end 60 --force",
     "jaxest estimate log.npz -m deflection --robot arm.urdf --config sensors.toml",
     "jaxest estimate shaken.npz -m onsite --config imus.toml",
-    "jaxest estimate arm.npz -m torque --robot arm.urdf --devices 2",
+    "jaxest estimate arm.npz -m torque --robot arm.urdf --devices 2 --work kept",
     "jaxest estimate hand.npz -m posture --robot hand.xml --config imus.toml",
 )
 
@@ -56,6 +56,10 @@ def run(
     out: Annotated[
         Path, typer.Option("--out", "-o", help="Folder for estimate.npz, report.json and a picture.")
     ] = Path("jaxest-out"),
+    work: Annotated[
+        Path | None,
+        typer.Option(help="Folder that keeps finished pieces of a long run; the same command goes on from there."),
+    ] = None,
     devices: Devices = None,
     force: Force = False,
     json: Json = False,
@@ -84,9 +88,9 @@ def run(
     if whole.notes:
         note(f"{log.name}: {'; '.join(whole.notes)}")
     kinds = tuple(part.strip() for part in sensors.split(",") if part.strip()) if sensors else None
-    request = methods.Request(chosen.method(method), kinds, chosen.nan, robot)
     begun = time.perf_counter()
-    with working(f"estimating the {method} ..."):
+    with working(f"estimating the {method} ...") as say:
+        request = methods.Request(chosen.method(method), kinds, chosen.nan, robot, work, say)
         outcome = methods.estimate(method, windowed(whole, start, end), request)
     for doubt in doubtful_units(whole):
         warn(f"{log.name}: {doubt}")

@@ -19,6 +19,7 @@ from jaxest.mcmc.model import Data, Model, Prior
 from jaxest.parallel import several
 from jaxest.systems.torque import check_prior
 from jaxest.systems.torque_model import check_robot, require_float64
+from jaxest.systems.torque_step import check_series
 from jaxest.types import Array, unknown_name
 
 SAMPLERS: Mapping[str, Callable[..., Kernel]] = {
@@ -73,7 +74,7 @@ def tune(
         Parameters of every sampler.
 
     Raises:
-        InputError: what the robot, the prior or the data are wrong about.
+        InputError: what the robot, the prior or the data are wrong about; steps too long for explicit Euler.
         ValueError: JAX computes in float32.
     """
     require_float64()
@@ -82,6 +83,7 @@ def tune(
     path = jnp.asarray(first_path(data, prior, model))
     centre = jnp.clip(jnp.zeros(model.linear), prior.low, prior.high)
     tuning = chains.untuned(model, robot, prior, data, path, centre)
+    check_series(model, robot, data, tuning.linear)
     params = Params(robot, prior, tuning)
     return chains.warm_up(model, params, data, key=key, iterations=iterations, rounds=rounds, over=several())[0]
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from jaxest.io import SensorLog
 from jaxest.io.report import Row
-from jaxest.types import unknown_name
+from jaxest.types import InputError, unknown_name
 
 METHODS = {
     "orientation": "jaxest.cli.methods.orientation",
@@ -21,7 +21,8 @@ METHODS = {
     "slam": "jaxest.cli.methods.slam",
 }
 """Name of a method, and the module that holds it."""
-
+PIECES = ("torque",)
+"""Methods that run in pieces and can go on from the last one."""
 
 SIZE = ("samples", "duration")
 """Metrics of the first two rows of every outcome."""
@@ -38,6 +39,10 @@ class Request(NamedTuple):
     """`error`, or `missing` where values that are not finite count as missing samples"""
     robot: Path | None = None
     """file of the robot, for methods that need one"""
+    work: Path | None = None
+    """folder that keeps finished pieces of a long run, for methods of `PIECES`; kept nowhere if None"""
+    say: Callable[[str], None] = lambda message: None
+    """told how far it is"""
 
 
 class Outcome(NamedTuple):
@@ -73,6 +78,8 @@ def estimate(method: str, log: SensorLog, request: Request) -> Outcome:
     """
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)
+    if request.work is not None and method not in PIECES:
+        raise InputError(f"--work: the method {method!r} keeps no pieces; {', '.join(PIECES)} does")
     return importlib.import_module(METHODS[method]).estimate(log, request)
 
 
@@ -82,4 +89,4 @@ def size(rows: list[Row]) -> str:
     return f"{samples:.0f} samples in {duration:.1f} s"
 
 
-__all__ = ["METHODS", "SIZE", "Outcome", "Request", "estimate", "size"]
+__all__ = ["METHODS", "PIECES", "SIZE", "Outcome", "Request", "estimate", "size"]

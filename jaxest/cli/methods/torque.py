@@ -22,6 +22,8 @@ from jaxest.types import InputError, unknown_name
 TORQUES = ("walk", "constant")
 SAMPLERS = ("gibbs", "mh", "collapsed")
 CHAINS = 4
+PIECE = 100  # iterations between two checkpoints
+LEAST = 8  # iterations whose chains can still be split
 NOISES = {"sensor_noise": None, "position_noise": 1e-5, "velocity_noise": 1e-2, "torque_noise": 0.1}
 """Standard deviations a step that the priors are centred on; the sensor's is read off the angles."""
 
@@ -79,7 +81,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     names = tuple(robot.joint_names)
     series = torque_series.series(log, settings, names, request.nan)
     with jax.enable_x64(True):
-        drawn = _draw(robot, series, settings, kind)
+        drawn = _draw(robot, series, request, kind)
     meta = {"probability": 0.95}
     written = {
         "torque": Stream(series.time, drawn.mean, "N m", names=names),
@@ -97,18 +99,23 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     return Outcome(SensorLog(written, log.source), _rows(series, names, drawn), series.notes, refused, paint)
 
 
-def _draw(robot: Any, series: Series, settings: Mapping[str, Any], kind: str) -> Drawn:
+def _draw(robot: Any, series: Series, request: Request, kind: str) -> Drawn:
     import jax
     import jax.numpy as jnp
 
+    from jaxest.io.chains import sample
     from jaxest.systems import torque, torque_model, torque_posterior, torque_sampler
     from jaxest.types import Reading
 
+    settings = request.settings
     n, walks = robot.nv, kind == "walk"
     torque_model.check_robot(robot)
     sampler = settings.get("sampler", "collapsed" if walks else "gibbs")
     if sampler not in SAMPLERS:
         raise unknown_name("[torque] sampler", sampler, SAMPLERS)
+    iterations = settings.get("iterations", 400 if walks else 2500)
+    if iterations < LEAST:
+        raise InputError(f"[torque] iterations: got {iterations}, expected at least {LEAST}")
     segments, passive = settings.get("segments", 1), settings.get("passive", False)
     model = torque_model.walk(n, passive) if walks else torque_model.constant(n, segments, passive)
     steps = np.diff(series.time, prepend=series.time[0])
@@ -117,13 +124,13 @@ def _draw(robot: Any, series: Series, settings: Mapping[str, Any], kind: str) ->
     data = torque.data_of(measured, segments)
     prior = _prior(series, settings, walks, segments)
     key = jax.random.key(settings.get("seed", 0))
+    request.say("the most probable motion, and warm-up")
     params = torque_sampler.tune(model, robot, prior, data, key=key, iterations=60 if walks else 200)
     start = torque_sampler.start(model, params, data, key=jax.random.fold_in(key, 1), count=CHAINS, spread=0.7)
-    iterations = settings.get("iterations", 400 if walks else 2500)
-
     kernel = torque_sampler.sampler(sampler, model)
     go = torque_posterior.advance(kernel, params, data, _keep(2 * n))
-    _, (history, path) = go(start, iterations)
+    _, (history, path) = sample(go, start, iterations, piece=min(PIECE, iterations), folder=request.work,
+                                identity=(params, data), say=request.say)  # fmt: skip
     found = torque_posterior.collect(model, history, has_path=sampler != "collapsed", labels=tuple(robot.joint_names))
     if walks:
         draws = np.asarray(path)[iterations // 4 :].reshape(-1, len(series.time), n)
