@@ -12,7 +12,7 @@ from jaxest.filters.run import full, run
 from jaxest.mcmc.kernel import Info, Kernel, Params, State, Tuning, collapsed, coordinates, draw_theta
 from jaxest.mcmc.model import Data, Linear, Model, Prior, Unknown, normals
 from jaxest.mcmc.twist import backward, collapse, draw, fit_path, flow
-from jaxest.parallel import shards
+from jaxest.parallel import gather, shards
 from jaxest.types import Array, PyTree
 
 _SHRINK = 20.0  # draws that a diagonal covariance counts for when the warm-up fits one
@@ -196,24 +196,36 @@ def warm_up(
     for i in range(rounds):
         chains = init(keys[i], chains.chain)
         chains, history = advance(kernel, params, data, chains, iterations, over=over)
+        # What lives on several devices would have every program of the fit compiled once more.
+        chains, history = (chains._replace(chain=_here(chains.chain)), _here(history)) if over else (chains, history)
         params = params._replace(tuning=_refit(model, params, data, history, iterations // 3))
     assert history is not None
     return params, chains, history
 
 
+def _here(tree: PyTree) -> PyTree:
+    return jax.tree.map(jnp.asarray, gather(tree))
+
+
 def _refit(model: Model, params: Params, data: Data, history: Info, discard: int) -> Tuning:
-    draws = (history.accepted.shape[0] - discard) * history.accepted.shape[1]
-    unknown = jax.tree.map(lambda x: x[discard:].reshape(draws, x.shape[-1]), history.unknown)
-    theta = jnp.clip(jnp.mean(unknown.theta, axis=0), params.prior.low, params.prior.high)
+    first, root = _fitted(params.prior, history.unknown, discard)
+    linear = fit_path(model, params.model, params.prior, data, first, params.tuning.linear.path, 4)
+    return _tuning(model, params.prior, data, linear, coordinates(first.variances), root)
+
+
+@partial(jax.jit, static_argnums=2)
+def _fitted(prior: Prior, drawn: Unknown, discard: int) -> tuple[Unknown, Array]:
+    """Return the centre of draws (iterations, C, ...) and a root of the covariance of z, in one program."""
+    draws = (drawn.theta.shape[0] - discard) * drawn.theta.shape[1]
+    unknown = jax.tree.map(lambda x: x[discard:].reshape(draws, x.shape[-1]), drawn)
+    theta = jnp.clip(jnp.mean(unknown.theta, axis=0), prior.low, prior.high)
     z = coordinates(unknown.variances)
     centre = jnp.mean(z, axis=0)
     away = z - centre[None]
     weight = draws / 10  # of the Gibbs sampler's draws, so many count as independent
     covariance = away.T @ away / draws
     covariance = (weight * covariance + _SHRINK * jnp.diag(jnp.diagonal(covariance))) / (weight + _SHRINK)
-    first = Unknown(theta, centre**-3)
-    linear = fit_path(model, params.model, params.prior, data, first, params.tuning.linear.path, 4)
-    return _tuning(model, params.prior, data, linear, centre, jnp.linalg.cholesky(covariance))
+    return Unknown(theta, centre**-3), jnp.linalg.cholesky(covariance)
 
 
 __all__ = ["Chains", "advance", "dispersed", "init", "step", "untuned", "warm_up"]
