@@ -1,0 +1,108 @@
+"""`jaxest estimate --method torque`: a pendulum's torque from its angle, pieces of a run, and what may be wrong."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+
+from jaxest import kinematics
+from jaxest.io import SensorLog, Stream, read, write
+from jaxest.systems import torque
+
+PENDULUM = """<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/><geom type="capsule"
+fromto="0 0 0 0 0 -.5" size=".02" mass="1"/></body></worldbody></mujoco>"""
+BARE = """<robot name="bare"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>
+<child link="b"/><axis xyz="0 1 0"/></joint></robot>"""
+TORQUE = 0.8
+SHORT = ("[torque]", 'torque = "constant"', "iterations = 60", "rest = true", "velocity_noise = 1e-3")
+
+
+def log(steps=60):
+    with jax.enable_x64(True):
+        robot = kinematics.load(PENDULUM)
+        given = torque.default_params(robot)
+        given = given._replace(mean=np.array([0.5, 0.0, TORQUE]))
+        measured, _ = torque.simulate(given, key=jax.random.key(0), steps=steps, dt=0.02)
+        angle = np.asarray(measured.joints.value)
+    time = 0.02 * np.arange(steps)
+    streams = {"q": Stream(time, angle, "rad"), "motor": Stream(time, np.full((steps, 1), TORQUE), "N m")}
+    return SensorLog(streams)
+
+
+@pytest.fixture
+def ready(invoke, tmp_path):
+    """A log, a robot and a config in the folder where commands run; returns what writes the config."""
+    write(log(), tmp_path / "log.npz")
+    (tmp_path / "arm.xml").write_text(PENDULUM)
+
+    def config(*lines):
+        (tmp_path / "c.toml").write_text("\n".join(lines) + "\n")
+
+    config(*SHORT)
+    return config
+
+
+WORDS = ("estimate", "log.npz", "-m", "torque", "--robot", "arm.xml", "-c", "c.toml")
+
+
+def test_a_constant_torque_in_pieces(invoke, ready, tmp_path):
+    """A run that is stopped after some pieces, and goes on, is the run that was never stopped."""
+    ready(*SHORT, 'compare = "motor"')
+    result = invoke(*WORDS, "--work", "kept", "--json", "-o", "whole")
+    assert result.exit_code == 3  # so few draws must not be used, and the command says so
+    assert "do not use this estimate: " in result.stderr
+    assert "too few effective draws" in result.stderr
+    pieces = sorted((tmp_path / "kept").iterdir())
+    assert len(pieces) == 1
+    found = read(tmp_path / "whole" / "estimate.npz")
+    half = float((found.streams["torque_upper"].value - found.streams["torque_lower"].value)[0, 0]) / 2
+    assert abs(float(found.streams["torque"].value[0, 0]) - TORQUE) < 2 * half < 1
+    rows = {row["metric"]: row for row in json.loads(result.stdout)["rows"]}
+    assert rows["from the logged torque, RMS"]["value"] < 2 * half
+    assert (tmp_path / "whole" / "torque.png").stat().st_size > 10_000
+    stamp = pieces[0].stat().st_mtime_ns
+    again = invoke(*WORDS, "--work", "kept", "-o", "again")
+    assert again.exit_code == 3
+    assert pieces[0].stat().st_mtime_ns == stamp
+    other = read(tmp_path / "again" / "estimate.npz")
+    for name, item in found.streams.items():
+        np.testing.assert_array_equal(other.streams[name].value, item.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ('torque = "constent"', "[torque] torque 'constent' does not exist; did you mean 'constant'"),
+        ('sampler = "gibs"', "[torque] sampler 'gibs' does not exist; did you mean 'gibbs'"),
+        ("iterations = 3", "[torque] iterations: got 3, expected at least 8"),
+        ("low = 5.0\nhigh = 2.0", "[torque] low: 5.0 is not below high: 2.0"),
+        ("sensor_noise = 0.0", "[torque] sensor_noise: got 0.0, expected a standard deviation above 0"),
+        ('angles = "joint"', "'joint' does not exist"),
+        ('feedforward = "moter"', "did you mean 'motor'"),
+        ("every = 0", "[torque] every: got 0, expected at least 1"),
+        ("every = 20", "3 samples, expected at least 8"),
+    ],
+)
+def test_settings_that_cannot_be(refused, ready, line, message):
+    ready("[torque]", line)
+    assert message in refused(*WORDS)
+
+
+def test_robots_and_logs_that_cannot_be(refused, ready, tmp_path):
+    assert "the method 'torque' needs a robot" in refused("estimate", "log.npz", "-m", "torque")
+    (tmp_path / "arm.urdf").write_text(BARE)
+    assert "inertia" in refused("estimate", "log.npz", "-m", "torque", "--robot", "arm.urdf")
+    whole = log()
+    wide = {"q": whole.streams["q"]._replace(value=np.zeros((60, 2)))}
+    write(SensorLog(wide), tmp_path / "wide.npz")
+    assert "2 columns, expected 1, the robot's joints hinge" in refused("estimate", "wide.npz", *WORDS[2:])
+    holes = whole.streams["q"].value.copy()
+    holes[7] = np.nan
+    write(SensorLog({"q": whole.streams["q"]._replace(value=holes)}), tmp_path / "holes.npz")
+    assert "row 7, column 0 is NaN" in refused("estimate", "holes.npz", *WORDS[2:])
+
+
+def test_pieces_are_for_methods_that_have_them(refused, ready):
+    message = refused("estimate", "log.npz", "-m", "orientation", "--work", "kept")
+    assert "the method 'orientation' keeps no pieces" in message
