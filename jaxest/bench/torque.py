@@ -6,7 +6,7 @@ however long it runs, so that a short run of a frozen sampler flatters it.
 """
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -21,7 +21,6 @@ from jaxest.io.report import Row
 from jaxest.kinematics.load import compile_model
 from jaxest.mcmc import chains as many
 from jaxest.mcmc.diagnostics import effective
-from jaxest.parallel import several
 from jaxest.systems import torque_model, torque_posterior, torque_sampler, torque_settings
 
 CHAINS, ITERATIONS = 4, 2500
@@ -150,26 +149,23 @@ def _beside(metric: str, condition: str, ours: Draws, at: int, peers: dict[str, 
 
 
 def _bootstrap(case: Case, peers: bool, small: bool) -> Row:
-    """Time an iteration of the paper's sampler as we have it, a chain on each device."""
-    count, chains, over = 20 if small else 1000, jax.device_count(), several()
+    """Time an iteration of the paper's sampler as we have it: one chain, whose particles XLA spreads over the cores."""
+    count, iterations = 20 if small else 1000, 2
     kernel = torque_sampler.sampler("gibbs_bootstrap", case.model, count)
-    start = case.starts._replace(
-        chain=jax.tree.map(lambda x: x[:chains], case.starts.chain), key=case.starts.key[:chains]
-    )
-    advance: Callable[..., Any] = many.advance
-    go = advance if over else jax.jit(advance, static_argnums=(0, 4))
+    alone = jax.tree.map(lambda x: x[:1], case.starts.chain)
+    start = many.Chains(alone, case.starts.key[:1], case.starts.index)
 
     def iterate() -> Any:
-        return go(kernel, case.params, case.scene.data, start, 2, *([many.full, over] if over else []))
+        return many.advance(kernel, case.params, case.scene.data, start, iterations)
 
     jax.block_until_ready(iterate())
-    candidates = [Candidate("ours", iterate, 2 * chains)]
+    candidates = [Candidate("ours", iterate, iterations)]
     steps = case.scene.data.value.shape[0]
     name = f"mujoco.rollout, {count} x {steps} steps on {rollouts.THREADS} threads"
     if peers:
         candidates.append(Candidate(name, rollouts.mujoco_rollout(_subject(case, count), steps)))
     timed = race(candidates, repeats=2 if small else 5, min_time=0.0)
-    condition = f"particle Gibbs, bootstrap, N = {count}, T = {steps}, {chains} chains on {chains} devices, float64"
+    condition = f"particle Gibbs, bootstrap, N = {count}, T = {steps}, one chain, float64"
     return compare("iteration", condition, timed["ours"], timed.get(name), unit="ms")
 
 

@@ -9,8 +9,8 @@ import pytest
 from jaxest import kinematics, models
 from jaxest.filters import run
 from jaxest.mcmc import twist
-from jaxest.mcmc.model import Unknown
-from jaxest.systems import torque, torque_model, torque_sampler, torque_settings
+from jaxest.mcmc.model import Data, Unknown, linearize
+from jaxest.systems import torque, torque_model, torque_sampler, torque_settings, torque_step
 from jaxest.types import InputError
 
 PENDULUM = """<mujoco><worldbody><body name="link"><joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.5"
@@ -168,8 +168,34 @@ def test_priors_that_cannot_be_are_refused(pendulum, x64):
 def test_a_step_that_is_too_long_is_refused_with_one_that_is_not(arm, x64):
     x = jnp.concatenate([jnp.asarray(torque_settings.FALLING), jnp.zeros(7), jnp.asarray(torque_settings.TORQUE)])
     torque_settings.check_step(arm, x, 0.01, 1.0)
+    long = torque_settings.named("paper")._replace(dt=0.05, steps=40)
+    with pytest.raises(InputError, match="explicit Euler blows up within 2 s"):
+        torque_settings.scene(arm, long, key=jax.random.key(0))
     with pytest.raises(InputError, match=r"explicit Euler blows up within 2 s .* the largest safe step is about 0\.0"):
         torque_settings.check_step(arm, x, 0.05, 2.0)
+
+
+def test_a_series_whose_steps_are_too_long_is_refused(x64):
+    """A damped joint, D / I = 40 / s: Euler's steps of it are stable up to 2 I / D = 0.05 s."""
+    damped = kinematics.load(PENDULUM.replace('axis="0 1 0"', 'axis="0 1 0" damping="3.343"'))
+    model = torque_model.constant(1, 1, True)
+    inertia = float(kinematics.mass_matrix(damped, jnp.zeros(1))[0, 0])
+
+    def series(dt, steps=60):
+        inputs = torque_model.Inputs(
+            jnp.full(steps - 1, dt), jnp.zeros((steps - 1, 1)), jnp.zeros(steps - 1, jnp.int32)
+        )
+        data = Data(jnp.full((steps, 1), 0.5), jnp.ones((steps, 1), bool), inputs)
+        path = jnp.stack([jnp.full(steps, 0.5), jnp.full(steps, 0.3)], axis=1)
+        prior = torque.paper_prior(jnp.array([0.5]), 1)
+        return data, linearize(model, damped, prior, data, path, jnp.zeros(1))
+
+    limit = 2 * inertia / 3.343
+    torque_step.check_series(model, damped, *series(0.9 * limit))
+    with pytest.raises(InputError, match="the largest safe step is about") as caught:
+        torque_step.check_series(model, damped, *series(1.5 * limit))
+    largest = float(str(caught.value).split()[-2])
+    assert 0.8 * limit < largest < 1.1 * limit
 
 
 def test_robots_without_inertia_or_with_free_joints_are_refused(x64):
