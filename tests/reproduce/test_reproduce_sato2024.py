@@ -49,3 +49,13 @@ def test_two_assemblies_reach_their_boxes():
         one = reach.once(seed)
         assert one.distance < 10
         assert one.inside
+
+
+@pytest.mark.slow
+def test_a_calibrated_rod_is_found():
+    """Of a short recording: what is left of raw sensors, and no more than the paper's 3 mm of calibrated ones."""
+    found = reproduce.parts("sato2024")["fig5"](reproduce.Choice(small=True, seed=1), lambda message: None)
+    values = {(row.metric, row.condition): row.value for row in found.rows}
+    calibrated = values["position error, median", "calibrated, whole recording"]
+    assert calibrated < 3
+    assert calibrated < values["position error, median", "accelerometers not calibrated, live"] / 3

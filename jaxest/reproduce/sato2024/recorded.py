@@ -57,9 +57,10 @@ def _corrupted(key: Any, value: Any, dt: Any, triad: Triad) -> Any:
 def record(seed: int, *, small: bool = False) -> Recorded:
     """Let a rod rest, turn slowly, and be shaken by hand; its sensors come as they are."""
     rest, turning, shaking = (300, 2000, 600) if small else (REST, TURNING, SHAKING)
+    slow = (1.0, 0.05, 0.3) if small else (0.25, 0.01, 0.06)  # a short one sees all directions if it is quicker
     keys = jax.random.split(jax.random.key(seed), 5)
     parts, truths = zip(
-        _ideal(keys[0], rest, 0.0, 0.5, 1.5, 0.0), _ideal(keys[0], turning, 0.25, 0.01, 0.06, 0.0),
+        _ideal(keys[0], rest, 0.0, 0.5, 1.5, 0.0), _ideal(keys[0], turning, *slow, 0.0),
         _ideal(keys[0], shaking, 1.0, 0.5, 1.5, 1.0), strict=True,
     )  # fmt: skip
     dt = jnp.full(rest + turning + shaking, 1 / RATE, jnp.float32).at[0].set(0)
