@@ -20,6 +20,7 @@ from jaxest.manifolds.base import Manifold
 from jaxest.types import Array, ArrayLike, PyTree
 
 OPENING = 8  # Gauss-Newton steps of the first step, which may have far to go
+SCATTER = 1.2  # rad, how far from the law's centre every second search of that step may start
 FAR, ASIDE = 1.0, 4  # one particle of so many does not heed a guess so far away, as it may stand rightly
 MANY = 6  # dimensions above which proposals are curved
 REACH = 2.5  # rad, as far as a mode may lie where noise ends at half a turn
@@ -231,7 +232,11 @@ def _prior(ours: Guided, params: PyTree, particles: PyTree, seen: PyTree, begins
         mean = jax.vmap(ours.manifold.local)(centre, each(opening.mean)(params, particles, seen)).T
         precision = jnp.asarray(opening.precision(params, seen), dtype)
         pull = precision[:, None] * mean
-        prior = Prior(none, jnp.diag(precision), jnp.diag(1 / precision), pull, jnp.sum(mean * pull, axis=0))
+        # Every second search starts elsewhere: one that starts where encoders say ends in a wrong posture where the
+        # robot is bent by a rad. What is found so does not hang on the run's key.
+        aside = SCATTER * jax.random.uniform(jax.random.key(0), (size, count), dtype, -1, 1)
+        begun = jnp.where(jnp.arange(count)[None] % 2 == 1, aside, 0)
+        prior = Prior(begun, jnp.diag(precision), jnp.diag(1 / precision), pull, jnp.sum(mean * pull, axis=0))
         return centre, prior
 
     centre, prior = usual() if opening is None else jax.lax.cond(begins, partial(anew, opening), usual)
@@ -239,7 +244,7 @@ def _prior(ours: Guided, params: PyTree, particles: PyTree, seen: PyTree, begins
         return centre, prior
     start = each(transition.guess)(params, centre, seen).astype(dtype).T
     heeds = begins | (jnp.arange(count) % ASIDE != 0) | (jnp.max(jnp.abs(start), axis=0) < FAR)
-    return centre, prior._replace(start=jnp.where(heeds[None], start, 0))
+    return centre, prior._replace(start=prior.start + jnp.where(heeds[None], start, 0))
 
 
 def _densities(
