@@ -222,6 +222,8 @@ def test_slides_and_balls_are_estimated_where_they_are_named(invoke, refused, tm
     assert found["wrist/orientation_covariance"].value.shape == (n, 3, 3)
     (tmp_path / "c.toml").write_text(text.replace('"wrist"]', '"drift"]'))
     assert "'drift' is a free joint" in refused(*words, "--force")
+    (tmp_path / "c.toml").write_text(text.replace("joints =", "prior = 0.0\njoints =", 1))
+    assert "prior: got 0.0, expected more than 0 for slides" in refused(*words, "--force")
     (tmp_path / "c.toml").write_text(text.replace('"rail", ', ""))
     assert "sensors.slides" in (message := refused(*words, "--force")) and "no slide is estimated" in message
 

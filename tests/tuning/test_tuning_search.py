@@ -69,6 +69,8 @@ def test_noise_is_recovered_with_honest_errors():
     assert found.stopped == "converged"
     np.testing.assert_allclose(found.points, np.broadcast_to(found.point, (4, 2)), atol=0.01)
     curved = tuning.curvature(PROBLEM, found.point, BATCH)
+    longer = tuning.curvature(PROBLEM, found.point, BATCH, worth=4.0 * len(BATCH.counts))
+    np.testing.assert_allclose(longer.covariance, curved.covariance / 4, rtol=1e-5)
     rows = tuning.estimates(PROBLEM, found.point, curved)
     for row, truth in zip(rows, (0.5, 1.0), strict=True):
         assert abs(row.value - truth) < 3 * row.sd

@@ -116,6 +116,10 @@ def system(
     noise = {"von_mises": deflection.von_mises, "gaussian": deflection.gaussian}[_choice(settings, "noise", NOISES)]
     given = {key: _number(settings, key, joints.size, signed=key in ("start", "compliance"))
              for key in ("walk", "prior", "start", "compliance") if key in settings}  # fmt: skip
+    first = len(joints.of("hinge"))
+    for key in ("walk", "prior"):
+        if (np.broadcast_to(given.get(key, 1.0), joints.size)[first:] == 0).any():
+            raise InputError(f"[deflection] {key}: got {settings[key]}, expected more than 0 for slides and balls")
     built = deflection.build(
         robot, [one.sensor for one in described], joints=joints.names, particles=count, noise=noise,
         sag="compliance" in given, proposal={"guided": deflection.guided, "bootstrap": deflection.bootstrap}[proposal],
