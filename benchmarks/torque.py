@@ -112,7 +112,8 @@ def measure(oracle: Any, robot: Any, name: str, params: Any, data: Data, given: 
     model = torque_model.constant(robot.nv)
     begun = time.perf_counter()
     chains = torque_sampler.start(model, params, data, key=jax.random.key(given.seed + 2))
-    go = torque_posterior.advance(torque_sampler.sampler(name, model), params, data)
+    spread = name in torque_sampler.SPREAD
+    go = torque_posterior.advance(torque_sampler.sampler(name, model), params, data, spread=spread)
     kept: list[Any] = []
     while True:
         chains, history = sample(go, chains, PIECE, piece=PIECE)

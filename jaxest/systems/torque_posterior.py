@@ -56,10 +56,21 @@ def names(model: Model, labels: tuple[str, ...] = ()) -> tuple[list[str], list[s
 
 
 def advance(
-    kernel: Kernel, params: Params, data: Data, history: Any = full
+    kernel: Kernel, params: Params, data: Data, history: Any = full, *, spread: bool = True
 ) -> Callable[[Chains, int], tuple[Chains, Any]]:
-    """Return what `io.chains.sample` calls: all chains in one program, or a share of them on each device."""
-    over = several()
+    """Return what `io.chains.sample` calls.
+
+    Args:
+        kernel: the sampler.
+        params: parameters.
+        data: the series.
+        history: as in `mcmc.chains.advance`.
+        spread: whether each device takes a share of the chains where there are several; all are one program otherwise.
+
+    Returns:
+        `(chains, iterations) -> (chains, history)`.
+    """
+    over = several() if spread else None
 
     def go(chains: Chains, iterations: int) -> tuple[Chains, Any]:
         found: tuple[Chains, Any] = many.advance(kernel, params, data, chains, iterations, history, over)

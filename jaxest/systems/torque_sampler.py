@@ -33,6 +33,9 @@ SAMPLERS: Mapping[str, Callable[..., Kernel]] = {
     "mh_bootstrap": partial(particle_mh.baseline, look=twist.nothing),
 }
 """`gibbs_bootstrap` and `mh_bootstrap` are the paper's."""
+SPREAD = ("gibbs", "mh", "collapsed")
+"""Samplers whose chains may be spread over devices. Those that resample have waited for ever on two devices of one
+processor (JAX 0.10, two cores), and run as one program."""
 
 
 @cache
@@ -110,4 +113,4 @@ def start(model: Model, params: Params, data: Data, *, key: Array, count: int = 
     return chains.init(key, states)
 
 
-__all__ = ["SAMPLERS", "first_path", "sampler", "start", "tune"]
+__all__ = ["SAMPLERS", "SPREAD", "first_path", "sampler", "start", "tune"]

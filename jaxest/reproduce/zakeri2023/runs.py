@@ -97,8 +97,9 @@ def run(
         kernel = torque_sampler.sampler(sampler, model, count)
         folder = None if work is None else work / f"{sampler}_{setting}_{seed}_{count}_{iterations}x{chains}_{spread:g}"
         _, history = sample(
-            torque_posterior.advance(kernel, params, one.data), start, iterations, piece=min(250, iterations),
-            folder=folder, identity=(params, one.data), say=None if say is None else _prefixed(say, sampler),
+            torque_posterior.advance(kernel, params, one.data, spread=sampler in torque_sampler.SPREAD),
+            start, iterations, piece=min(250, iterations), folder=folder, identity=(params, one.data),
+            say=None if say is None else _prefixed(say, sampler),
         )  # fmt: skip
         posterior = torque_posterior.collect(model, history, has_path=sampler != "collapsed")
     return Result(one, posterior, time.perf_counter() - begun, iterations, chains)
