@@ -1,6 +1,6 @@
 """Slides and balls in the deflection filter: exact answers, names, intervals, a robot that has every kind."""
 
-from functools import cache
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -63,22 +63,40 @@ def test_a_slide_is_the_kalman_filter(name):
         np.full(steps, 0.1, np.float32),
     )  # fmt: skip
     found = several(system, params, measurements)
-    mean, variance, means, evidence = 0.1, 1 / 25.0, [], 0.0
-    for t in range(steps):
-        variance += 1 / 900.0
-        for value, noise, there in ((read[t], 1e-4, valid[t]), (seen[t], 4e-4, t != 3)):
-            if there:
-                total, away = variance + noise, value - mean
-                evidence -= (np.log(2 * np.pi * total) + away**2 / total) / 2
-                mean, variance = mean + variance / total * away, variance * noise / total
-        evidence -= np.log(2 * np.pi) * (t != 3)  # y and z of the marker, exactly as expected, of variance 1
-        means.append((mean, np.sqrt(variance)))
-    mean, deviation = np.array(means).T
+
+    def exact(walk):
+        """Means and deviations (T,), and the log-evidence."""
+        mean, variance, means, evidence = 0.1, 1 / 25.0, [], 0.0
+        for t in range(steps):
+            variance += 1 / walk
+            for value, noise, there in ((read[t], 1e-4, valid[t]), (seen[t], 4e-4, t != 3)):
+                if there:
+                    total, away = variance + noise, value - mean
+                    evidence -= (np.log(2 * np.pi * total) + away**2 / total) / 2
+                    mean, variance = mean + variance / total * away, variance * noise / total
+            evidence -= np.log(2 * np.pi) * (t != 3)  # y and z of the marker, exactly as expected, of variance 1
+            means.append((mean, np.sqrt(variance)))
+        return np.array(means).T, evidence
+
+    (mean, deviation), evidence = exact(900.0)
     error = found.info.mean.slide[..., 0].std(0, ddof=1) / np.sqrt(RUNS)
     assert np.all(np.abs(found.info.mean.slide[..., 0].mean(0) - mean) < 4.5 * error + 1e-6)
     np.testing.assert_allclose(np.sqrt(found.info.covariance[..., 0, 0].mean(0)), deviation, rtol=0.05)
     np.testing.assert_allclose(found.upper[..., 0].mean(0), 1.96 * deviation, rtol=0.08)
     assert_total(found.info.log_likelihood, evidence)
+    if name == "guided":
+
+        def total(log_walk, key):
+            given = params._replace(walk=jnp.exp(log_walk))
+            history = run(system.step, given, system.init(given, key=key), measurements, key=key)[1]
+            return jnp.sum(history.log_likelihood)
+
+        keys = jax.random.split(jax.random.key(8), RUNS)
+        score_of = partial(jax.grad(total), jnp.log(jnp.float32(900.0)))
+        score = jax.jit(lambda k: jax.lax.map(score_of, k), compiler_options=QUICK)
+        slopes = np.asarray(score(keys), float)
+        expected = (exact(900.0 * np.exp(1e-4))[1] - exact(900.0 * np.exp(-1e-4))[1]) / 2e-4
+        assert abs(slopes.mean() - expected) < 4.5 * slopes.std(ddof=1) / np.sqrt(RUNS) + 1e-4
 
 
 @cache
