@@ -91,7 +91,9 @@ def two_axis(
         rates: (n, 3) rad/s of each, what its gyroscope says; None if there are only the orientations.
 
     Returns:
-        The axes; the sign of each is arbitrary: their largest components are positive.
+        The axes; the sign of each is arbitrary: their largest components are positive. Calibrate the IMUs first: scales
+        and axes of half a percent off made them 1 deg wrong on the mean in simulated motion of 20 s, and one in ten
+        wrong altogether, which a `residual` of degrees gives away.
 
     Raises:
         InputError: shapes or stamps are wrong, values are not finite, the joint hardly turns, or the rates are
