@@ -36,7 +36,7 @@ GROUPS = {
     "undisturbed, combined": ("undisturbed", "combined"),
     "undisturbed, slow": ("undisturbed", "slow"),
     "undisturbed, fast": ("undisturbed", "fast"),
-    "with breaks at rest": ("breaks",),
+    "with breaks": ("breaks",),
     "tapping": ("tapping",),
     "vibration": ("vibration",),
     "stationary magnet": ("stationary", "magnet"),

@@ -92,8 +92,8 @@ def two_axis(
 
     Returns:
         The axes; the sign of each is arbitrary: their largest components are positive. Calibrate the IMUs first: scales
-        and axes of half a percent off made them 1 deg wrong on the mean in simulated motion of 20 s, and one in ten
-        wrong altogether, which a `residual` of degrees gives away.
+        and axes of half a percent off made them .6 to 2.6 deg wrong in simulated motion of 20 s, and two of ten wrong
+        altogether, which a `residual` of degrees gives away.
 
     Raises:
         InputError: shapes or stamps are wrong, values are not finite, the joint hardly turns, or the rates are
