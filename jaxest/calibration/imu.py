@@ -81,9 +81,10 @@ def calibrate(rest: Readings, turning: Readings | None = None) -> Calibration:
     fitted = ellipsoid.fit(turning.accelerometer, turning=arms)
     forces = ellipsoid.apply(fitted, turning.accelerometer) - arms @ fitted.lever
     turned = alignment.align(turning.time, rates, forces)
-    # A matrix has three entries on its diagonal and six beside it, which share what is symmetric and what turns.
-    variance = np.diag(fitted.covariance)
-    spread = (np.sum(variance[:3]) + 2 * np.sum(variance[3:6]) + 2 * np.sum(turned.deviation**2)) / 9
+    # Three entries lie on a matrix' diagonal and six beside it, which share what is symmetric and what turns. Of one
+    # variance for all, what turns has half: the larger of both is said, for a pose hangs on it.
+    variance, turn = np.diag(fitted.covariance), np.mean(turned.deviation**2)
+    spread = max((np.sum(variance[:3]) + 2 * np.sum(variance[3:6]) + 6 * turn) / 9, 2 * turn)
     return Calibration(
         still.gyroscope_bias, noise[0], turned.rotation @ fitted.matrix, fitted.bias, noise[1],
         accelerometer_relative=float(np.sqrt(spread)),
