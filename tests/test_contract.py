@@ -23,10 +23,22 @@ from particle_models import build as particle_arm
 from posture_models import fused, paired, pairs
 from slam_models import tiny
 
+from jaxest import kinematics
 from jaxest.filters import attitude, bingham_linear, complementary, kalman, resampling, rls, run
 from jaxest.io.checkpoint import load_state, save_state
-from jaxest.systems import deflection, orientation
+from jaxest.systems import deflection, orientation, torque
 from jaxest.types import NON_FINITE, OK, Reading, System
+
+PENDULUM = """<mujoco><worldbody><body><joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.5" size=".02"
+mass="1"/></body></worldbody></mujoco>"""
+
+
+def pendulum():
+    system = torque.build(kinematics.load(PENDULUM))
+    given = system.default_params
+    mean, variance = np.array([0.5, 0.1, 0.8]), np.array([1e-4, 1e-2, 1.0])
+    wide = dict.fromkeys(("position", "velocity", "torque", "sensor"), np.full(1, 1e-4))
+    return system._replace(default_params=given._replace(mean=mean, variance=variance, **wide))
 
 
 class Row(NamedTuple):
@@ -53,6 +65,7 @@ ROWS = [
     Row("posture", fused),
     Row("posture_pairs", paired),
     Row("kalman", kalman_body),
+    Row("torque", pendulum, differentiable=False),  # its gradient compiles for a minute: test_system_torque has one
     Row("savitzky_golay", window),
     Row("bingham_linear", rotation),
     Row("bingham_linear_general", partial(rotation, bingham_linear.general)),
