@@ -85,6 +85,7 @@ ROWS = [
     ),
 ]
 DIFFERENTIABLE = [row for row in ROWS if row.differentiable]
+EAGERLY_SLOW = ("posture", "onsite_chain", "slam", "deflection_guided", "deflection_joints")
 STEPS = 12
 BATCH = 8
 # Compiles five times faster; what is compared with the live step is therefore also compiled differently.
@@ -122,6 +123,11 @@ class Case(NamedTuple):
     def gradients(self, *cases):
         out = self.slopes(*stacked([*cases, *[cases[0]] * (4 - len(cases))]))
         return [at(out, i) for i in range(len(cases))]
+
+
+def marked(row):
+    """A row whose step is hundreds of small programs without `jit`: half a minute to compile them."""
+    return pytest.param(row, marks=[pytest.mark.slow] if row.name in EAGERLY_SLOW else [], id=row.name)
 
 
 @pytest.fixture(params=ROWS, ids=[row.name for row in ROWS])
@@ -235,6 +241,7 @@ def live_loop(case, params, measurements):
     return state, stacked(infos)
 
 
+@pytest.mark.parametrize("row", [marked(row) for row in ROWS], indirect=True)
 def test_jit_is_no_jit(case, row):
     state = compiled = case.start(case.params)
     for i in range(2):

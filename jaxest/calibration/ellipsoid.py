@@ -64,7 +64,7 @@ def fit(
         iterations: most steps of Levenberg and Marquardt.
         turning: (n, 3, 3) 1/s^2, [dw/dt x] + [w x]^2 of the body's rates. A sensor that is turned about a point away
             from it feels that times the lever, which looks like a bias and does not average out; with this the lever
-            is estimated along, within `REACH` of the sensor.
+            is estimated along, within some 0.3 m of the sensor.
 
     Returns:
         The fit.
@@ -235,4 +235,4 @@ def apply(fitted: Fit, readings: ArrayLike) -> NDArray[np.float64]:
     return (np.asarray(readings, np.float64) - fitted.bias) @ fitted.matrix
 
 
-__all__ = ["REACH", "Fit", "apply", "fit"]
+__all__ = ["Fit", "apply", "fit"]

@@ -51,6 +51,7 @@ def ratio(said, true, part):
     return np.trace(said[part, part]) / np.trace(true[part, part])
 
 
+@pytest.mark.slow  # a recording's solution for each entry
 def test_a_recording_knows_what_each_entry_does(x64):
     one = rod(200)
     solve = partial(onsite_batch.solve, half_width=7)
