@@ -21,6 +21,7 @@ import numpy as np
 from jaxest.bench.harness import Candidate, candidate, race
 from jaxest.filters.complementary import Params
 from jaxest.filters.complementary_sweep import sweep
+from jaxest.metrics import orientation_error
 from jaxest.systems import orientation
 
 FLAGS = ("-O3", "-march=native", "-ffast-math")
@@ -52,9 +53,9 @@ def main(steps: int) -> None:
         ]
         run(1)
         ours = np.asarray(sweep(gains, measurements).quaternion)
-        apart = 2 * np.arccos(np.clip(np.abs(np.sum(out * ours, axis=-1)), 0, 1))
+        apart = orientation_error(out, ours).total
         print(f"largest difference of the final orientations: {np.rad2deg(apart.max()):.2f} deg, median "
-              f"{np.rad2deg(np.median(apart)):.4f} deg")  # fmt: skip
+              f"{np.rad2deg(np.median(apart)):.6f} deg")  # fmt: skip
     for timing in race(candidates, repeats=5).values():
         compiled = "" if timing.compile_s is None else f", compiled in {timing.compile_s:.1f} s"
         print(f"{timing.name:14s} {1e9 * timing.median:7.2f} ns (spread {1e9 * timing.spread:.2f}){compiled}")

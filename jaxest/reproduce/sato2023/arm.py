@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from jaxest import kinematics, models
 from jaxest.filters import run
+from jaxest.metrics import orientation_error
 from jaxest.sensors import Sensor, measurement_type
 from jaxest.simulate import deflection as bent
 from jaxest.systems import deflection
@@ -202,5 +203,5 @@ def rms(x: NDArray[np.float64]) -> float:
 
 def gap(one: Ends, other: Ends) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the distance (T,) m and the angle (T,) rad between two poses."""
-    dot = np.abs(np.sum(one.quaternion * other.quaternion, axis=1))
-    return np.linalg.norm(one.position - other.position, axis=1), 2 * np.arccos(np.minimum(dot, 1))
+    angle = np.asarray(orientation_error(one.quaternion, other.quaternion).total)
+    return np.linalg.norm(one.position - other.position, axis=1), angle

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from jaxest.filters import last, run
 from jaxest.io.report import Row
 from jaxest.manifolds import quaternion as quat
+from jaxest.metrics import orientation_error
 from jaxest.reproduce import Choice, Say, Section, canvas
 from jaxest.reproduce.sato2024.recorded import RATE, SHAKING, Recorded, corrected, params, record
 from jaxest.systems import onsite, onsite_batch
@@ -152,7 +153,7 @@ def _paint(figure: Any, one: Recorded, curve: tuple[NDArray[np.float64], ...]) -
         axes[1].axhline(1e3 * one.position[k], color=colour, linestyle="--", linewidth=0.8)
     there = np.any(position != 0, axis=1)
     error = 1e3 * np.linalg.norm(position - one.position, axis=1)
-    angle = 2 * np.rad2deg(np.arccos(np.clip(np.abs(quaternion @ one.quaternion), 0, 1)))
+    angle = np.rad2deg(orientation_error(quaternion, one.quaternion).total)
     spread = 1e3 * np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2))
     for axis, value in ((axes[2], error), (axes[3], angle), (axes[4], spread)):
         axis.plot(time[there], value[there], color=canvas.BLUE, linewidth=1.1)
