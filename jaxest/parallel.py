@@ -66,6 +66,8 @@ def shards(fn: Callable[..., PyTree], over: Mesh | None = None, *, common: int =
         sizes = [np.shape(leaf)[:1] for leaf in jax.tree.leaves(batch)]
         if len(set(sizes)) != 1 or () in sizes:
             raise ValueError(f"batch: leading axes {sorted(set(sizes))}, expected one number of items on every leaf")
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(batch)):
+            return share(same, batch)  # traced, for shapes or within another program, that cannot be laid on devices
         items = int(sizes[0][0])
         rows = np.minimum(np.arange(-(-items // line.size) * line.size), items - 1)
         batch = jax.tree.map(lambda leaf: _place(leaf, rows, NamedSharding(line, part)), batch)

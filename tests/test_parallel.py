@@ -73,6 +73,13 @@ def test_one_device_equals_vmap_and_keys_are_items_too():
     np.testing.assert_array_equal(found, expected)
 
 
+def test_shapes_are_those_of_the_run():
+    spread = parallel.shards(lambda a, x: a * x, common=1)
+    shape = jax.eval_shape(spread, np.float32(2), np.zeros((5, 3), np.float32))
+    assert (shape.shape, shape.dtype) == ((5, 3), np.float32)
+    np.testing.assert_array_equal(jax.jit(spread)(np.float32(2), np.ones(4, np.float32)), np.full(4, 2, np.float32))
+
+
 def test_unequal_batches_are_refused():
     with pytest.raises(ValueError, match=r"batch: leading axes \[\(3,\), \(4,\)\]"):
         parallel.shards(lambda a, b: a + b)(np.zeros(3), np.zeros(4))
