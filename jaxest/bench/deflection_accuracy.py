@@ -6,10 +6,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from numpy.typing import NDArray
 
 from jaxest.bench import deflection_peers as peers
 from jaxest.io.report import Row
+from jaxest.metrics import circular_error
 from jaxest.sensors import Sensor, measurement_type
 from jaxest.systems import deflection
 from jaxest.types import Reading
@@ -66,14 +66,10 @@ def rows(
     blind = ours(deflection.build(robot, sensors, particles=count), measurement, seed=1)
     for name, step in {"jaxest, bootstrap": lambda: blind().mean, **filters}.items():
         found = np.array([np.asarray(step(), float) for _ in range(settle + steps)])[settle:]
-        away = _wrapped(found - centre) / deviation
+        away = circular_error(found, centre) / deviation
         spread = float(np.std(np.sqrt(np.mean(away**2, axis=1))) / np.sqrt(steps))
         condition = f"{name}, {count} particles, against {number} guided ones"
         yield Row("error of the posterior mean", condition, float(np.sqrt(np.mean(away**2))), "sd", spread, steps)
-
-
-def _wrapped(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    return (x + np.pi) % (2 * np.pi) - np.pi
 
 
 __all__ = ["ours", "rows", "still"]

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.calibration.alignment import rotations
+
 Matrix = NDArray[np.float64]
 SIZE = 17
 """Unknowns: 2 of each axis, the angle between them, then of each IMU 3 of its rotation and 3 of its bias."""
@@ -132,7 +134,7 @@ def solve(turning: Turning, guess: Guess) -> Solved:
 
 def integral(time: Matrix, rate: Matrix, bias: Matrix) -> Matrix:
     """Rotations (n, 3, 3) since the first sample, by the rates' means between samples."""
-    found = np.concatenate([np.eye(3)[None], matrix(((rate[1:] + rate[:-1]) / 2 - bias) * np.diff(time)[:, None])])
+    found = np.concatenate([np.eye(3)[None], rotations(((rate[1:] + rate[:-1]) / 2 - bias) * np.diff(time)[:, None])])
     ahead = 1
     while ahead < len(found):
         found = np.concatenate([found[:ahead], found[:-ahead] @ found[ahead:]])
@@ -198,7 +200,7 @@ def _normal(turning: Turning, guess: Guess, parts: Any, size: Any, alike: float)
 
 
 def _moved(guess: Guess, step: Matrix) -> Guess:
-    turned = np.stack([matrix(step[at : at + 3]) @ guess.turn[i] for i, at in enumerate(TURN)])
+    turned = rotations(np.stack([step[at : at + 3] for at in TURN])) @ guess.turn
     bias = guess.bias + np.stack([step[at : at + 3] for at in BIAS])
     angle = None if guess.angle is None else guess.angle + float(step[ANGLE])
     return Guess(tilted(guess.first, step[:2]), tilted(guess.second, step[2:4]), angle, turned, bias)
@@ -220,15 +222,6 @@ def about_up(angle: Matrix) -> Matrix:
     zero, one = np.zeros_like(angle), np.ones_like(angle)
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([c, -s, zero, s, c, zero, zero, zero, one], -1).reshape(*angle.shape, 3, 3)
-
-
-def matrix(vector: Matrix) -> Matrix:
-    """Rotations (..., 3, 3) of rotation vectors (..., 3) rad."""
-    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*vector.shape, 3)
-    return np.eye(3) + np.sinc(angle / np.pi) * cross + np.sinc(angle / (2 * np.pi)) ** 2 / 2 * (cross @ cross)
 
 
 def rotation_vector(rotation: Matrix) -> Matrix:
