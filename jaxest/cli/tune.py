@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from jaxest.cli.devices import Devices, Join
 from jaxest.cli.output import (
     DONE,
     Answer,
@@ -27,6 +28,7 @@ NAME = "tune"
 EXAMPLES = (
     "jaxest tune walk1.npz walk2.npz walk3.npz --method orientation --held-out 1",
     "jaxest tune trial.npz -m orientation -c start.toml --free proportional_gain,integral_gain --starts 8",
+    "jaxest tune a.npz b.npz c.npz -m orientation --starts 8 --devices 2",
     "jaxest tune a.npz b.npz -m deflection --robot arm.urdf -c sensors.toml --free walk,sensors.encoders.concentration",
 )
 DRAWN = 4, 4  # windows and keys for standard errors of a likelihood that is drawn; all data would take half an hour
@@ -58,6 +60,8 @@ def run(
     checkpoint: Annotated[
         Path | None, typer.Option(help="File for the search's state; where it exists, the search goes on from it.")
     ] = None,
+    devices: Devices = None,
+    join: Join = None,
     out: Annotated[Path, typer.Option("--out", "-o", help="Tuned config to write; a picture goes beside it.")] = Path(
         "tuned.toml"
     ),
@@ -69,7 +73,9 @@ def run(
 
     Printed are each parameter's standard error, and which the logs cannot tell: those are better left alone.
     """
-    del verbose
+    del verbose, devices, join
+    import jax
+
     from jaxest.cli import tunable
     from jaxest.io import write_config
     from jaxest.io.report import report
@@ -87,6 +93,8 @@ def run(
     begun = time.perf_counter()
     with working("tuning ...") as say:
         found, rows = _search(given, starts, spread, held_out, evaluations, seed, checkpoint, say)
+    if jax.process_index():
+        return Answer(status=DONE)  # the first process writes and prints
     tables = {**({"columns": chosen.columns} if chosen.columns else {}), "nan": chosen.nan, **chosen.tables}
     write_config(out, {**tables, method: given.settings(found.params)}, overwrite=force)
     if draws:
@@ -147,7 +155,7 @@ def _search(
     """Run the search, kept in a checkpoint if one is named, and judge where it ended."""
     import jax
 
-    from jaxest import tuning
+    from jaxest import parallel, tuning
     from jaxest.io import load_state, save_state
 
     batch = tuning.padded(given.recordings)
@@ -157,11 +165,13 @@ def _search(
     draw, key = jax.random.split(jax.random.key(seed))
     points = tuning.disperse(given.space, starts, key=draw, spread=spread, dtype=given.dtype)
     search = tuning.begin(problem, given.method, points)
-    if checkpoint is not None and checkpoint.exists():
+    leads = jax.process_index() == 0
+    if checkpoint is not None and leads and checkpoint.exists():
         search = load_state(checkpoint, search)
+    search = parallel.from_first(search)
 
     def keep(search: Any) -> None:
-        if checkpoint is not None:
+        if checkpoint is not None and leads:
             save_state(checkpoint, search, overwrite=True)
 
     def progress(line: str) -> None:
@@ -170,7 +180,8 @@ def _search(
     noisy = given.objective.random
     found = tuning.minimise(
         problem, parts[0], method=given.method, search=search, held_out=parts[1], evaluations=evaluations,
-        key=key if noisy or given.windows else None, progress=progress, keep=keep,
+        key=key if noisy or given.windows else None, over=parallel.several() if starts > 1 else None,
+        progress=progress, keep=keep,
     )  # fmt: skip
     say("standard errors ...")
     whole = tuning.Problem(given.objective, given.space)

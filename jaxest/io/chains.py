@@ -51,7 +51,7 @@ def sample(
     """
     import jax
 
-    mark = _fingerprint((identity, chains, piece))
+    mark = fingerprint((identity, chains, piece))
     place = None if folder is None else Path(folder)
     if place is not None:
         place.mkdir(parents=True, exist_ok=True)
@@ -82,7 +82,8 @@ def _load(file: Path, like: tuple[PyTree, PyTree], mark: int) -> tuple[PyTree, P
     return found["chains"], found["history"]
 
 
-def _fingerprint(tree: PyTree) -> int:
+def fingerprint(tree: PyTree) -> int:
+    """Return a checksum of all arrays of a tree, by which pieces of another run are told apart."""
     import jax
 
     mark = 0
@@ -124,4 +125,4 @@ def inference_data(
     )  # fmt: skip
 
 
-__all__ = ["Advance", "inference_data", "sample"]
+__all__ = ["Advance", "fingerprint", "inference_data", "sample"]

@@ -4,14 +4,16 @@ The whole search is one pytree, `Search`, that `begin` makes and `advance` moves
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh
 from numpy.typing import NDArray
 
+from jaxest.parallel import everywhere, gather, shards
 from jaxest.tuning import descent
 from jaxest.tuning.descent import Method, lbfgs
 from jaxest.tuning.objectives import Objective, per_recording, total
@@ -141,7 +143,6 @@ def disperse(space: Space, points: int, *, key: Array, spread: Any = 1.0, dtype:
     return centre[None] + jnp.broadcast_to(jnp.asarray(spread, centre.dtype), (points, space.size)) * noise
 
 
-@partial(jax.jit, static_argnums=(0, 1))
 def advance(
     problem: Problem,
     method: Method,
@@ -149,6 +150,7 @@ def advance(
     batch: Recording,
     held_out: Recording | None = None,
     key: Array | None = None,
+    over: Mesh | None = None,
 ) -> tuple[Search, tuple[descent.Info, Array]]:
     """Evaluate every start once and move it on.
 
@@ -160,37 +162,62 @@ def advance(
         held_out: recordings that only judge.
         key: key of the whole search, for mini-batches and for what is drawn; folded with the evaluation's number, and
             the same for all starts.
+        over: devices that take a share of the starts each, as `parallel.mesh` lines them up; one program if None.
 
     Returns:
         The search, and of each start what was found and the held-out loss (NaN without).
     """
+    if problem.windows is not None:
+        _given(key)
+    data = (batch, held_out, key, search.index)
+    if over is None:
+        states, info, loss = _evaluated(problem, method, data, search.descent)
+    else:
+        states, info, loss = gather(_spread(problem, method, over)(data, search.descent))
+    return _moved(problem, search, states, info, loss, held_out is None), (info, loss)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _evaluated(problem: Problem, method: Method, data: Any, states: descent.State) -> Any:
+    return jax.vmap(partial(_start, problem, method, data))(states)
+
+
+@cache
+def _spread(problem: Problem, method: Method, over: Mesh) -> Any:
+    """Compile the evaluation of a device's starts once for the whole search."""
+    return shards(partial(_start, problem, method), over, common=1)
+
+
+def _start(problem: Problem, method: Method, data: Any, state: descent.State) -> Any:
+    """Evaluate one start: its next state, what was found, and the held-out loss."""
+    batch, held_out, key, index = data
     pick = draw = None
     if key is not None:
-        pick, draw = jax.random.split(jax.random.fold_in(key, search.index))
+        pick, draw = jax.random.split(jax.random.fold_in(key, index))
     part = batch if problem.windows is None else sample_windows(batch, problem.windows, _given(pick))
-
-    def one(state: descent.State) -> tuple[descent.State, descent.Info]:
-        return descent.step(method, lambda z: value_and_gradient(problem, z, part, draw), state)
-
-    states, info = jax.vmap(one)(search.descent)
+    after, info = descent.step(method, lambda z: value_and_gradient(problem, z, part, draw), state)
     if held_out is None:
-        judged, loss = info.value, jnp.full_like(info.value, jnp.nan)
-    else:
-        loss = jax.vmap(lambda z: total(problem.objective, problem.space.unpack(z), held_out, draw))(info.point)
-        judged = loss
+        return after, info, jnp.full_like(info.value, jnp.nan)
+    return after, info, total(problem.objective, problem.space.unpack(info.point), held_out, draw)
+
+
+@partial(jax.jit, static_argnums=(0, 5))
+def _moved(
+    problem: Problem, search: Search, states: descent.State, info: descent.Info, loss: Array, alone: bool
+) -> Search:  # fmt: skip
+    """The search once all starts are evaluated; `alone` where no recordings are held out."""
+    judged = info.value if alone else loss
     better = info.taken & (judged < search.best_value)
     noisy = problem.windows is not None or problem.objective.random
-    if noisy and held_out is None:  # no evaluation is comparable with another: the last points' mean is kept
-        found = Search(states, states.average, info.value, jnp.zeros_like(search.since), search.index + 1)
-    else:
-        found = Search(
-            states,
-            jnp.where(better[:, None], info.point, search.best),
-            jnp.where(better, judged, search.best_value),
-            jnp.where(better, 0, search.since + 1),
-            search.index + 1,
-        )
-    return found, (info, loss)
+    if noisy and alone:  # no evaluation is comparable with another: the last points' mean is kept
+        return Search(states, states.average, info.value, jnp.zeros_like(search.since), search.index + 1)
+    return Search(
+        states,
+        jnp.where(better[:, None], info.point, search.best),
+        jnp.where(better, judged, search.best_value),
+        jnp.where(better, 0, search.since + 1),
+        search.index + 1,
+    )
 
 
 def _given(key: Array | None) -> Array:
@@ -210,6 +237,7 @@ def minimise(
     evaluations: int = 60,
     patience: int = 15,
     key: Array | None = None,
+    over: Mesh | None = None,
     progress: Callable[[str], None] = lambda message: None,
     keep: Callable[[Search], None] = lambda search: None,
 ) -> Result:
@@ -226,6 +254,7 @@ def minimise(
         evaluations: at most; of each start, in all.
         patience: as said.
         key: random key, for mini-batches and for what is drawn.
+        over: as in `advance`; the same numbers come out.
         progress: hears a line an evaluation.
         keep: gets the search after every evaluation, to write it down.
 
@@ -237,9 +266,10 @@ def minimise(
         own = problem.space.pack(problem.space.base)[None] if starts is None else starts
         search = begin(problem, method, own)
     rows, stopped = [], "evaluations"
-    data = jax.tree.map(jnp.asarray, (batch, held_out))
+    data = (batch, held_out)
+    batch, held_out = jax.tree.map(jnp.asarray, data) if over is None else everywhere(data, over)
     while int(search.index) < evaluations:
-        search, (info, loss) = advance(problem, method, search, *data, key)
+        search, (info, loss) = advance(problem, method, search, batch, held_out, key, over)
         rows.append(Trace(*(np.asarray(x) for x in (info.value, loss, info.point, info.taken))))
         keep(search)
         progress(f"evaluation {int(search.index)}: {_best(rows[-1].value):.6g}")

@@ -1,7 +1,7 @@
 """The particle filter's step: resample, propose, weigh."""
 
 from functools import cache, partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -116,7 +116,28 @@ def _step(
     measurement, broken = clean(measurement)
     choice, motion = jax.random.split(jax.random.fold_in(key, state.index))
     chosen, before, moved, increments, foresight = _moved(model, params, state, measurement, choice, motion)
-    particles, increments = _finite(before, moved, increments.astype(state.log_weights.dtype))
+    particles, increments = settled(before, moved, increments.astype(state.log_weights.dtype))
+    return concluded(model, state, chosen, particles, increments, broken, foresight)
+
+
+def concluded(
+    model: Model, state: State, chosen: Resampled, particles: PyTree, increments: Array, broken: Array,
+    foresight: Any = None,
+) -> tuple[State, Info]:  # fmt: skip
+    """Return what follows once all particles are where they are.
+
+    Args:
+        model: the filter's.
+        state: before the step.
+        chosen: who went on, and with which weights.
+        particles: leaves (N, ...), where to, finite.
+        increments: (N,) logarithms of their weights' factors.
+        broken: () bool, whether the measurement held what is not finite.
+        foresight: by what ancestors were chosen, where a measurement was looked at before.
+
+    Returns:
+        The next state, and the step's info.
+    """
     log_weights, log_likelihood, vanished = normalize(chosen.log_weights + increments)
     weights = jnp.exp(log_weights)
     mean, covariance = weighted(model.manifold, particles, weights)
@@ -170,7 +191,7 @@ def _balanced(manifold: Manifold, mean: PyTree, foresight: _Foresight, chosen: R
     return manifold.retract(mean, shift)
 
 
-def _finite(before: PyTree, moved: PyTree, increments: Array) -> tuple[PyTree, Array]:
+def settled(before: PyTree, moved: PyTree, increments: Array) -> tuple[PyTree, Array]:
     """Put particles that are not finite back where they came from, without weight: 0 times NaN is NaN."""
     finite = jnp.ones(increments.shape, bool)
     for leaf in jax.tree.leaves(moved):

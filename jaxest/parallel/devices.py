@@ -1,9 +1,4 @@
-"""One batch axis over devices and processes, by JAX's own engine; nothing here schedules work.
-
-Particles, chains, recordings, simulations and parameter sets are leading axes that `vmap` adds. `shards` spreads such
-an axis over all devices, of this process or, after `jax.distributed.initialize`, of all of them; the same numbers come
-out as on one device.
-"""
+"""A batch axis of independent items over devices."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -78,10 +73,27 @@ def shards(fn: Callable[..., PyTree], over: Mesh | None = None, *, common: int =
     return call
 
 
+def everywhere(tree: PyTree, over: Mesh | None = None) -> PyTree:
+    """Put the same arrays on all devices, once, where calls of a function made by `shards` share them.
+
+    Args:
+        tree: whole on every host.
+        over: the devices, as `mesh` lines them up; all of them if None.
+
+    Returns:
+        The tree, for `shards(..., common=...)`.
+    """
+    line = mesh() if over is None else over
+    return jax.tree.map(lambda leaf: _place(leaf, ..., NamedSharding(line, PartitionSpec())), tree)
+
+
 def _place(leaf: Any, rows: Any, spread: NamedSharding) -> jax.Array:
     """Put each device's share of a leaf's rows on it; the leaf is whole on every host."""
+    if rows is ... and isinstance(leaf, jax.Array) and leaf.sharding == spread:
+        return leaf  # it is there already
     if jnp.issubdtype(getattr(leaf, "dtype", np.float32), jax.dtypes.prng_key):
-        return jax.device_put(leaf[rows], spread)
+        words = _place(jax.random.key_data(leaf), rows, spread)
+        return jax.random.wrap_key_data(words, impl=jax.random.key_impl(leaf))
     whole = np.asarray(leaf)[rows]
     return jax.make_array_from_callback(whole.shape, spread, lambda index: whole[index])
 
@@ -102,4 +114,4 @@ def gather(tree: PyTree) -> PyTree:
     return jax.tree.map(np.asarray, process_allgather(tree, tiled=True))
 
 
-__all__ = ["gather", "mesh", "several", "shards"]
+__all__ = ["everywhere", "gather", "mesh", "several", "shards"]

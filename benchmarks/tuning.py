@@ -1,0 +1,286 @@
+"""How well tuning by gradient tunes: against a grid, on held-out recordings, against values that are known.
+
+    python benchmarks/tuning.py [--part grid held-out recovery walk] [--broad FOLDER] [--logs 10] [--seed 3] [--json]
+
+`grid` and `held-out` need the trials of BROAD as NPZ. `grid`: the complementary filter's two gains by `jaxest.tuning`
+from eight starts that lie far apart, beside a grid of 260 settings, on all trials, and on each half tuned on the other.
+`held-out`: the attitude filter (ekf) tuned on half of the trials, judged on the other, both ways. `recovery`: the
+deflection filter's concentrations and variances from logs drawn with values that it is not told, from Table I's.
+`walk`: Table I's walk on a bent arm, the tuned filter's error on other logs beside Table I's, and what the best walk
+and sensor noise in hindsight would give. The command for one's own logs is `jaxest tune`.
+"""
+
+import argparse
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxest import kinematics, models, tuning
+from jaxest.bench import broad
+from jaxest.filters import attitude, run
+from jaxest.filters.resampling import systematic
+from jaxest.io.report import Row, report, to_json
+from jaxest.manifolds import circle
+from jaxest.sensors import Sensor
+from jaxest.simulate import deflection as bending
+from jaxest.systems import deflection, orientation
+from jaxest.types import System
+
+GRID = 20, 13  # proportional and integral gains, 260 settings
+STARTS, SPREAD = 8, 1.5
+ARM = (
+    Sensor("joint_angle", "encoders"),
+    Sensor("link_orientation", "imu2", ("site:imu2",)),
+    Sensor("link_orientation", "imu3", ("site:imu3",)),
+    Sensor("link_position", "tip", ("site:end_effector",)),
+)
+FREE = ("walk", "sensors.encoders.concentration", ("sensors.imu2.lam", "sensors.imu3.lam"), "sensors.tip.variance")
+TRUE = {"walk": 150.0, "encoders": 40.0, "lam": -300.0, "variance": 0.001}
+"""Generating values: a step of 0.08 rad, encoders off by 0.16 rad, IMUs by 0.04, the tip by 0.03 m."""
+PRIOR = 20.0
+"""Of all logs and filters of `recovery`: they start near home. Where the first readings leave several postures, few
+particles may miss the right one, and the likelihood then says more of that than of the noise."""
+PARTICLES, SETTLED = 128, 5
+FADING = 0.97
+
+
+def say(text: str) -> None:
+    """Tell on standard error what is being done."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def recordings(trials: list[broad.Trial]) -> tuning.Recording:
+    """Trials as a batch, with the truth."""
+    measurements = broad.padded(trials, 6)
+    found = []
+    for i, trial in enumerate(trials):
+        steps = len(trial.movement)
+        rows = jax.tree.map(lambda x, i=i, n=steps: np.asarray(x[i][:n]), measurements)
+        found.append(tuning.recording(rows, trial.truth.astype(np.float32), trial.movement))
+    return tuning.padded(found)
+
+
+def degrees(objective: tuning.Objective, params: Any, batch: tuning.Recording) -> np.ndarray:
+    """Error of each recording, deg."""
+    each = jax.jit(lambda params, batch: tuning.each(objective, params, batch))
+    return np.rad2deg(np.asarray(each(params, batch)))
+
+
+def grid(folder: Path, seed: int) -> list[Row]:
+    """Tune the complementary filter, and look the grid over."""
+    system = orientation.build(sensors=("gyroscope", "accelerometer"))
+    objective = tuning.supervised(system, tuning.errors.inclination)
+    start = jax.tree.map(np.float32, system.default_params)
+    space = tuning.space(start, {"proportional_gain": None, "integral_gain": None})
+    problem = tuning.Problem(objective, space)
+    batch = recordings(broad.load(folder))
+    points = tuning.disperse(space, STARTS, key=jax.random.key(seed), spread=SPREAD, dtype=np.float32)
+    say("tuning on all trials")
+    begun = time.perf_counter()
+    found = tuning.minimise(problem, batch, starts=points, progress=say)
+    took = time.perf_counter() - begun
+    say(f"grid of {GRID[0] * GRID[1]}")
+    gains = [np.geomspace(lo, hi, n, dtype=np.float32) for lo, hi, n in ((0.05, 5, GRID[0]), (1e-4, 1, GRID[1]))]
+    settings = jax.tree.map(lambda x: np.full(GRID[0] * GRID[1], x), start)._replace(
+        proportional_gain=np.repeat(gains[0], GRID[1]), integral_gain=np.tile(gains[1], GRID[0])
+    )
+    errors = np.stack([
+        degrees(objective, jax.tree.map(lambda x, i=i: x[i], settings), batch) for i in range(GRID[0] * GRID[1])
+    ])  # fmt: skip
+    least = errors.mean(axis=1)
+    values = np.rad2deg(found.values)
+    count = errors.shape[1]
+    name, where = "inclination RMSE, 6 axes, complementary", f"tuned on all, {STARTS} starts"
+    rows = [
+        Row(name, where, float(values.min()), "deg", None, count, float(least.min()), "grid of 260 settings"),
+        Row("largest less smallest of the starts", where, float(np.ptp(values)), "deg", None, STARTS),
+        Row("ratio of largest and smallest gain of the starts", where,
+            float(np.exp(np.ptp(np.asarray(found.points)[:, 0]))), "1", None, STARTS),
+        Row("run time, compilation included", where, took, "s"),
+    ]  # fmt: skip
+    halves = [np.arange(i, count, 2) for i in (0, 1)]
+    judged, gridded = [], []
+    for i, half in enumerate(halves):
+        other = halves[1 - i]
+        say(f"tuning on half {i}")
+        tuned = tuning.minimise(problem, tuning.take(batch, other), starts=points)
+        judged.append(degrees(objective, tuned.params, tuning.take(batch, half)))
+        gridded.append(errors[np.argmin(errors[:, other].mean(axis=1)), half])
+    held, by_grid = np.concatenate(judged), np.concatenate(gridded)
+    rows.append(Row(name, "each half tuned on the other", float(held.mean()), "deg", _error(held - by_grid), count,
+                    float(by_grid.mean()), "grid of 260 settings"))  # fmt: skip
+    return rows
+
+
+def held_out(folder: Path, seed: int) -> list[Row]:
+    """Tune the attitude filter on each half of the trials."""
+    system = orientation.build(filter=attitude.ekf, sensors=("gyroscope", "accelerometer"))
+    objective = tuning.supervised(system, tuning.errors.inclination)
+    start = jax.tree.map(np.float32, system.default_params)
+    space = tuning.space(start, dict.fromkeys(("misalignment", "speed", "excursion", "move_time")))
+    problem = tuning.Problem(objective, space)
+    batch = recordings(broad.load(folder))
+    count = np.shape(batch.counts)[0]
+    halves = [np.arange(i, count, 2) for i in (0, 1)]
+    plain = degrees(objective, start, batch)
+    tuned = np.zeros(count)
+    for i, half in enumerate(halves):
+        say(f"tuning on half {1 - i}")
+        found = tuning.minimise(problem, tuning.take(batch, halves[1 - i]), evaluations=25, progress=say)
+        tuned[half] = degrees(objective, found.params, tuning.take(batch, half))
+        say(f"  {dict(zip(space.names, np.asarray(space.values(found.point)).round(4).tolist(), strict=True))}")
+    return [Row("inclination RMSE, 6 axes, ekf", "each half tuned on the other", float(tuned.mean()), "deg",
+                _error(tuned - plain), count, float(plain.mean()), "its defaults"),
+            Row("trials that became better", "each half tuned on the other", float((tuned < plain).sum()), "1", None,
+                count)]  # fmt: skip
+
+
+def _error(differences: np.ndarray) -> float:
+    """Standard error of a mean of paired differences."""
+    return float(differences.std(ddof=1) / np.sqrt(len(differences)))
+
+
+def arm(particles: int = PARTICLES) -> System:
+    """Return the filter that is tuned: guided, whose score scatters least."""
+    return deflection.build(
+        kinematics.load(models.path("arm")), ARM, particles=particles,
+        proposal=deflection.guided, resample=tuning.fading(systematic, FADING),
+    )  # fmt: skip
+
+
+def single(params: Any) -> Any:
+    """Return parameters in float32."""
+    return jax.tree.map(jnp.float32, params)
+
+
+def generating(params: Any) -> Any:
+    """Return Table I's parameters with `TRUE` in their place."""
+    sensors, lam = params.sensors, np.array([0.0, TRUE["lam"], TRUE["lam"], 0.0])
+    sensors = sensors._replace(
+        encoders=sensors.encoders._replace(concentration=TRUE["encoders"]),
+        imu2=sensors.imu2._replace(lam=lam), imu3=sensors.imu3._replace(lam=lam),
+        tip=sensors.tip._replace(variance=np.full(3, TRUE["variance"])),
+    )  # fmt: skip
+    return single(params._replace(walk=TRUE["walk"], prior=PRIOR, sensors=sensors))
+
+
+def space_of(params: Any) -> tuning.Space:
+    """Return what is free: walk, encoders, IMUs together, one variance of the tip."""
+    equal = tuning.transforms.equal(tuning.transforms.positive)
+    paths = {path if isinstance(path, str) else "+".join(path): None for path in FREE}
+    paths["sensors.tip.variance"] = equal
+    return tuning.space(params, paths)
+
+
+def tuned_arm(system: System, start: Any, batch: tuning.Recording, evaluations: int, seed: int) -> Any:
+    """Tune from given parameters; return the problem and what was found."""
+    space = space_of(single(start))
+    problem = tuning.Problem(tuning.likelihood(system, random=True), space)
+    rate = lambda step: 0.25 / (1 + step / 15)  # noqa: E731
+    found = tuning.minimise(problem, batch, method=tuning.adam(rate), evaluations=evaluations,
+                            key=jax.random.key(seed), progress=say)  # fmt: skip
+    return problem, found
+
+
+def recovery(logs: int, seed: int, evaluations: int, keys: int = 6) -> list[Row]:
+    """Draw logs from the model and find its values again."""
+    system = arm()
+    true = generating(system.default_params)
+    draw = jax.jit(lambda key: system.simulate(true, key=key, steps=100))
+    drawn = [draw(key)[0] for key in jax.random.split(jax.random.key(seed), logs)]
+    batch = tuning.padded([tuning.recording(jax.tree.map(np.asarray, one)) for one in drawn])
+    problem, found = tuned_arm(system, system.default_params._replace(prior=PRIOR), batch, evaluations, seed + 1)
+    say("standard errors")
+    curvature = tuning.curvature(problem, found.point, batch, jax.random.split(jax.random.key(seed + 2), keys))
+    expected = np.asarray(problem.space.values(problem.space.pack(true, np.float32)))
+    rows = []
+    for row, value in zip(tuning.estimates(problem, found.point, curvature), expected, strict=True):
+        off = (row.value - value) / row.sd
+        rows.append(Row(row.name, f"{logs} logs of 100 steps, from {row.start:g}; off by {off:+.2f} sd", row.value, "1",
+                        row.sd, logs, float(value), "generating value"))  # fmt: skip
+    return rows
+
+
+def walk(logs: int, seed: int, evaluations: int) -> list[Row]:
+    """Tune on bent arms, and judge on others."""
+    system = arm()
+    draw = jax.jit(partial(bending.simulate, kinematics.load(models.path("arm")), ARM, duration=5.0, rate_hz=20.0))
+    scenes = [draw(key=key) for key in jax.random.split(jax.random.key(seed), 2 * logs)]
+    batch = tuning.padded([tuning.recording(jax.tree.map(np.asarray, one)) for one, _ in scenes[:logs]])
+    others, truths = (jax.tree.map(lambda *x: jnp.stack(x), *part) for part in zip(*scenes[logs:], strict=True))
+
+    @jax.jit
+    def errors(params: Any) -> Any:
+        def one(measurements: Any, truth: Any) -> Any:
+            key = jax.random.key(seed + 5)
+            _, info = run(system.step, params, system.init(params, key=key), measurements, key=key)
+            return jnp.sqrt(jnp.mean(circle.wrap(info.mean - truth)[SETTLED:] ** 2))
+
+        return jax.lax.map(lambda both: one(*both), (others, truths.angles))
+
+    problem, found = tuned_arm(system, system.default_params, batch, evaluations, seed + 1)
+    start = single(system.default_params)
+    plain, better = (np.rad2deg(np.asarray(errors(single(p)))) for p in (start, found.params))
+    say("hindsight")
+    best, at = _hindsight(problem, found, errors, evaluations)
+    values = dict(zip(problem.space.names, np.asarray(problem.space.values(found.point)), strict=True))
+    ratio = better.mean() / plain.mean()
+    label = f"bent arm, {logs} other logs"
+    rows = [Row("joints RMSE", f"{label}, tuned by likelihood", float(better.mean()), "deg",
+                _error(better - plain), logs, float(plain.mean()), "Table I"),
+            Row("error beside Table I's", label, float(ratio), "1", _error(better / plain), logs),
+            Row("joints RMSE", f"{label}, best of {at} settings in hindsight", best, "deg", None, logs,
+                float(plain.mean()), "Table I")]  # fmt: skip
+    rows += [Row(name, "tuned by likelihood", float(v), "1", None, logs) for name, v in values.items()]
+    return rows
+
+
+def _hindsight(problem: Any, found: Any, errors: Any, count: int) -> tuple[float, int]:
+    """Least error, on the judging logs themselves, that a search about the tuned point finds: no setting to use."""
+    rng, best, centre = np.random.default_rng(0), np.inf, np.asarray(found.point)
+    for i in range(count):
+        z = centre + (0 if i == 0 else rng.normal(0, 1.2 if i < count // 2 else 0.4, centre.shape))
+        value = float(np.rad2deg(np.asarray(errors(single(problem.space.unpack(jnp.float32(z)))))).mean())
+        if value < best:
+            best, centre = value, z
+    return best, count
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parts = ["grid", "held-out", "recovery", "walk"]
+    parser.add_argument("--part", nargs="+", choices=parts, default=parts)
+    parser.add_argument("--broad", type=Path, help="folder with the trials")
+    parser.add_argument("--logs", type=int, default=10)
+    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--evaluations", type=int, default=80, help="of the deflection filter's tuning")
+    parser.add_argument("--json", action="store_true")
+    given = parser.parse_args()
+    if given.broad is None and {"grid", "held-out"} & set(given.part):
+        parser.error("--broad FOLDER: the trials of BROAD are needed for grid and held-out")
+    rows = []
+    for part in given.part:
+        made = {
+            "grid": lambda: grid(given.broad, given.seed),
+            "held-out": lambda: held_out(given.broad, given.seed),
+            "recovery": lambda: recovery(given.logs, given.seed, given.evaluations),
+            "walk": lambda: walk(given.logs, given.seed, given.evaluations),
+        }[part]()
+        rows += made
+        for row in made if not given.json else ():
+            spread = "" if row.spread is None else f" +- {row.spread:.3g}"
+            beside = "" if row.reference is None else f"  ({row.reference_name}: {row.reference:.4g})"
+            print(f"{row.metric}: {row.condition}: {row.value:.4g}{spread} {row.unit}{beside}, n = {row.n}", flush=True)
+    if given.json:
+        print(to_json(report("tuning", rows)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""Many independent runs, in pieces that are kept and merged to one file: Monte-Carlo runs, recordings, parameter sets.
+
+A piece is a checkpoint. The same call with the same folder goes on from those that are there, with the same results, on
+any number of devices and processes. Where there are several processes, that of rank 0 reads and writes.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxest.io.chains import fingerprint
+from jaxest.io.checkpoint import load_state, save_state
+from jaxest.io.files import PathLike
+from jaxest.types import InputError, PyTree
+
+MERGED = "results.npz"
+
+
+def study(
+    run: Callable[[PyTree], PyTree],
+    items: PyTree,
+    *,
+    piece: int,
+    folder: PathLike | None = None,
+    identity: PyTree = (),
+    say: Callable[[str], None] | None = None,
+) -> PyTree:
+    """Run a batch of independent items, a piece at a time.
+
+    Args:
+        run: a batch of items, leaves (n, ...), to results with the same leading axis, as `parallel.shards` makes it.
+        items: leaves (N, ...), whole on every process.
+        piece: items of a piece; the last one is filled up with copies of its last item, so that one program serves.
+        folder: where pieces are kept and, at the end, merged to `results.npz`; made if it is not there; kept nowhere
+            if None.
+        identity: further arrays that results depend on; a folder with pieces of others is refused.
+        say: told how far it is, on the process of rank 0.
+
+    Returns:
+        The results, leaves (N, ...), NumPy arrays, whole on every process.
+
+    Raises:
+        InputError: the folder holds pieces of another study.
+        RuntimeError: another process was lost; pieces that are done are kept.
+    """
+    import jax
+
+    from jaxest import parallel
+
+    count = len(jax.tree.leaves(items)[0])
+    mark = fingerprint((identity, items, piece))
+    leads = jax.process_index() == 0
+    place = None if folder is None or not leads else Path(folder)
+    if place is not None:
+        place.mkdir(parents=True, exist_ok=True)
+    like = jax.eval_shape(run, jax.tree.map(lambda x: x[np.minimum(np.arange(piece), count - 1)], items))
+    found, begun, fresh = [], time.monotonic(), 0
+    for first in range(0, count, piece):
+        file = None if place is None else place / f"items{first:08d}_{piece}.npz"
+        kept = None if file is None or not file.exists() else _load(file, like, mark)
+        if parallel.from_first(np.asarray(kept is not None)):
+            blank = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), like)
+            part = jax.tree.map(np.asarray, parallel.from_first(blank if kept is None else kept))
+        else:
+            rows = np.minimum(np.arange(first, first + piece), count - 1)
+            part = _together(run, jax.tree.map(lambda x, rows=rows: x[rows], items), first, parallel.gather)
+            fresh += piece
+            if file is not None:
+                save_state(file, {"mark": np.uint32(mark), "results": part})
+        found.append(part)
+        done = min(first + piece, count)
+        if say and leads:
+            left = (time.monotonic() - begun) / max(fresh, 1) * (count - done)
+            say(f"{done} of {count} runs" + (f", about {left:.0f} s left" if fresh and left >= 1 else ""))
+    whole = jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *found)
+    if place is not None:
+        save_state(place / MERGED, whole, overwrite=True)
+    return whole
+
+
+LOST = ("Gloo", "NCCL", "UNAVAILABLE", "heartbeat")
+"""Words of JAX's errors where another process has gone."""
+
+
+def _together(run: Any, part: PyTree, first: int, gather: Any) -> PyTree:
+    """Run one piece on all processes."""
+    import jax
+
+    try:
+        return gather(run(part))
+    except (jax.errors.JaxRuntimeError, ValueError) as error:
+        if jax.process_count() == 1 or not any(word in str(error) for word in LOST):
+            raise
+        raise RuntimeError(
+            f"another process was lost in the piece from run {first}; start all again with the same folder, earlier "
+            f"pieces are kept ({str(error).splitlines()[0]})"
+        ) from error
+
+
+def _load(file: Path, like: PyTree, mark: int) -> PyTree:
+    found = load_state(file, {"mark": np.uint32(0), "results": like})
+    if int(found["mark"]) != mark:
+        raise InputError(f"{file}: belongs to a study of other items or settings; choose another folder")
+    return found["results"]
+
+
+__all__ = ["MERGED", "study"]
