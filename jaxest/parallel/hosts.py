@@ -16,7 +16,8 @@ class Place(NamedTuple):
 
     rank: int
     """From 0; that one writes files and prints."""
-    count: int
+    processes: int
+    """How many there are."""
 
 
 def start(
