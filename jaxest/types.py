@@ -19,12 +19,14 @@ OK = 0
 NON_FINITE = 1
 WEIGHTS_VANISHED = 2
 NOT_CONVERGED = 3
+OUT_OF_RANGE = 4
 
 _MESSAGES = {
     OK: "ok",
     NON_FINITE: "a valid measurement was not finite and was left out",
     WEIGHTS_VANISHED: "all particle weights vanished; the weights were reset to uniform",
     NOT_CONVERGED: "the iteration stopped before it converged",
+    OUT_OF_RANGE: "numbers outgrew the precision; the step was not taken",
 }
 
 
@@ -32,7 +34,8 @@ def status_message(status: int) -> str:
     """Return what a `status` in an estimator's info means.
 
     Args:
-        status: code, one of `OK`, `NON_FINITE`, `WEIGHTS_VANISHED`, `NOT_CONVERGED`.
+        status: code, one of `OK`, `NON_FINITE`, `WEIGHTS_VANISHED`, `NOT_CONVERGED`,
+            `OUT_OF_RANGE`.
 
     Returns:
         One sentence in plain English.
@@ -49,6 +52,21 @@ class InputError(ValueError):
     """Bad input from a person or a file; the message names the place, what was found and what was expected."""
 
 
+def listed(names: Iterable[str], most: int = 20) -> str:
+    """Join names for a message, the first few of many.
+
+    Args:
+        names: any number of them.
+        most: how many are written out.
+
+    Returns:
+        `a, b, c and 97 more`, or `none`.
+    """
+    known = list(names)
+    more = f" and {len(known) - most} more" if len(known) > most else ""
+    return (", ".join(known[:most]) or "none") + more
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
     """Build the error for a name that does not exist, with the closest existing ones.
 
@@ -62,7 +80,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> InputError:
     """
     names = list(known)
     close = difflib.get_close_matches(name, names, n=3, cutoff=0.4)
-    hint = f"did you mean {' or '.join(map(repr, close))}?" if close else f"known: {', '.join(names) or 'none'}"
+    hint = f"did you mean {' or '.join(map(repr, close))}?" if close else f"known: {listed(names)}"
     return InputError(f"{kind} {name!r} does not exist; {hint}")
 
 
@@ -122,6 +140,7 @@ __all__ = [
     "NON_FINITE",
     "NOT_CONVERGED",
     "OK",
+    "OUT_OF_RANGE",
     "WEIGHTS_VANISHED",
     "Array",
     "ArrayLike",
@@ -133,6 +152,7 @@ __all__ = [
     "Simulate",
     "Step",
     "System",
+    "listed",
     "status_message",
     "unknown_name",
 ]

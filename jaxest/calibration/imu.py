@@ -113,9 +113,12 @@ def apply(
 
 
 def save(calibrations: dict[str, Calibration], path: str | Path) -> None:
-    """Write calibrations by the IMUs' names as JSON, replacing the file."""
+    """Write calibrations by the IMUs' names as JSON, replacing the file, whole or not at all."""
     plain = {name: {k: np.asarray(v).tolist() for k, v in one._asdict().items()} for name, one in calibrations.items()}
-    Path(path).write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
+    path = Path(path)
+    part = path.with_name(f".{path.name}.part")
+    part.write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
+    part.replace(path)
 
 
 def load(path: str | Path) -> dict[str, Calibration]:
@@ -153,7 +156,7 @@ def load(path: str | Path) -> dict[str, Calibration]:
                 )
             plain_ones: Any = {key: v if v.shape else float(v) for key, v in values.items()}
             found[name] = Calibration(**plain_ones)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{path}: not a calibration: {type(error).__name__}: {error}") from None

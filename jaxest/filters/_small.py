@@ -11,6 +11,12 @@ from jaxest.types import Array
 SWEEPS = 5  # of Jacobi: each squares what is off the diagonal, once it is small
 
 
+def finite(tree: Any) -> Array:
+    """Return whether all floating leaves are finite, () bool."""
+    leaves = [x for x in jax.tree.leaves(tree) if jnp.issubdtype(x.dtype, jnp.floating)]
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]))
+
+
 def product(a: Array, b: Array) -> Array:
     """Return `a @ b` in full precision: a real matrix product, which XLA does not compute again in every fusion."""
     return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)

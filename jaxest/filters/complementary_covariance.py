@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxest.filters import complementary
+from jaxest.filters._small import finite
 from jaxest.manifolds import quaternion as quat
-from jaxest.types import Array, ArrayLike, Step
+from jaxest.types import OUT_OF_RANGE, Array, ArrayLike, Step
 
 
 class Noise(NamedTuple):
@@ -85,7 +86,7 @@ class Info(NamedTuple):
     valid: Array
     """() bool, whether each vector sensor has set its part of the orientation yet."""
     status: Array
-    """() int32, `OK` or `NON_FINITE`; see `jaxest.types.status_message`."""
+    """() int32, `OK`, `NON_FINITE`, or `OUT_OF_RANGE` (covariance as before); see `jaxest.types.status_message`."""
     covariance: Array
     """(3, 3) rad^2 of theta in `truth = quaternion * exp(theta)`. Without a magnetometer the heading counts from the
     first sample on, whose heading defines the earth frame; before the first samples nothing is known: pi^2 / 3."""
@@ -126,6 +127,9 @@ def with_covariance(step: Step = complementary.step) -> Step:
         noise = Noise._make(jnp.asarray(x, dtype) for x in params.noise)
         moved = _propagate(params.filter, noise, state, measurement)
         covariance = _initialize(noise, state.filter, after, moved, seen=measurement.magnetometer is not None)
+        fits = finite(covariance)
+        covariance = jnp.where(fits, covariance, state.covariance)
+        info = info._replace(status=jnp.where(fits, info.status, OUT_OF_RANGE))
         return State(after, covariance), Info._make([*info, covariance[:3, :3]])
 
     return stepped

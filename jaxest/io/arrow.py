@@ -1,5 +1,6 @@
 """Columns of Arrow tables as NumPy arrays, for Parquet files of any origin."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -7,6 +8,7 @@ from numpy.typing import NDArray
 
 from jaxest.io.extras import need
 from jaxest.io.files import PathLike
+from jaxest.io.growth import refuse_excess
 from jaxest.types import InputError
 
 Column = NDArray[Any]
@@ -33,6 +35,13 @@ def read_table(path: PathLike, columns: list[str] | None = None) -> Any:
             f"{path}: not a readable Parquet file ({error}); its index stands at its end, so that of a truncated one "
             "nothing can be read"
         ) from error
+    counts = file.metadata
+    cells = sum(
+        counts.row_group(i).column(j).num_values
+        for i in range(counts.num_row_groups)
+        for j in range(counts.num_columns)
+    )
+    refuse_excess(path, "the file", 8 * max(cells, 0), Path(path).stat().st_size)
     with file:
         groups, rows = [], 0
         for i in range(file.num_row_groups):

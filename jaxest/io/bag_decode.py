@@ -162,7 +162,7 @@ def _decode(
             if same.any():
                 here = block if same.all() else block[same]
                 _append(topic, known[tried], here, stamps[rows[same]], numbers[rows[same]])
-        except (ValueError, KeyError) as error:
+        except (ValueError, KeyError, RecursionError) as error:
             place = f"{topic.channel.topic} ({topic.channel.kind}), the message at {stamps[rows[0]] / NS:.6f} s"
             raise InputError(f"{path}: {place}: {error}") from error
         block, rows, tried = block[~same], rows[~same], tried + 1

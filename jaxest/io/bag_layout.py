@@ -115,6 +115,8 @@ def _member(walk: _Walk, at: int, what: Any, path: str) -> int:
         raise ValueError(f"{path} is of a kind that is not supported ({node})")
     if int(inner[0]) == _BASE and inner[1][0] != "string":
         return _numbers(walk, at, inner[1][0], count, path)
+    if count > len(walk.raw):  # of parts without a byte, say, which would never end
+        raise ValueError(f"{path} claims {count} parts in {len(walk.raw)} bytes")
     for i in range(count):
         at = _member(walk, at, inner, f"{path}.{i}")
     return at

@@ -8,12 +8,14 @@ import bz2
 import contextlib
 import sqlite3
 import struct
+import sys
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO, NamedTuple
 
 from jaxest.io.extras import need
+from jaxest.io.growth import refuse_excess
 
 
 class Channel(NamedTuple):
@@ -52,6 +54,8 @@ def indexed(path: Path, channels: Channels, wanted: Wanted) -> Messages:
         Messages.
     """
     one = path.suffix.lower() == ".bag"
+    for part in sorted(path.glob("*.mcap")) if path.is_dir() else [path]:
+        _refuse_excess(part)
     with need("rosbags.rosbag1" if one else "rosbags.rosbag2", "bags", path).Reader(path) as reader:
         for c in reader.connections:
             idl = c.msgdef.format.name == "IDL"
@@ -88,19 +92,47 @@ def scan(path: Path, channels: Channels, wanted: Wanted) -> Messages:
     yield from scanner(path, channels, wanted)
 
 
-def _decompress(path: Path, kind: str, data: bytes) -> bytes:
+def _decompress(path: Path, kind: str, data: bytes, whole: int) -> bytes:
+    """Return a chunk, which says that it has `whole` bytes; no more than one above that is ever made."""
     if kind in ("", "none"):
         return data
+    refuse_excess(path, "a chunk", whole, len(data))
     if kind == "bz2":
-        return bz2.decompress(data)
+        return bz2.BZ2Decompressor().decompress(data, whole + 1)
     if kind == "lz4":
-        return bytes(need("lz4.frame", "bags", path).decompress(data))
+        return bytes(need("lz4.frame", "bags", path).LZ4FrameDecompressor().decompress(data, whole + 1))
     if kind == "zstd":
-        import sys
-
-        return bytes(need("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd", "bags", path)
-                     .decompress(data))  # fmt: skip
+        module = need("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd", "bags", path)
+        return bytes(module.ZstdDecompressor().decompress(data, whole + 1))
     raise ValueError(f"chunk compression {kind!r} is not supported")
+
+
+def _refuse_excess(path: Path) -> None:
+    """Look at what chunks say of their sizes, before rosbags unpacks them; a broken file is left to the readers."""
+    if path.suffix.lower() not in (".mcap", ".bag"):
+        return
+    claimed, size = 0, path.stat().st_size
+    with path.open("rb") as file, contextlib.suppress(EOFError, KeyError, struct.error, UnicodeDecodeError):
+        one = file.read(len(_ROS1)) == _ROS1
+        file.seek(len(_ROS1) if one else len(_MCAP))
+        while file.tell() < size:
+            if one:
+                header = _ros1_header(_exactly(file, _length(file, size), size, "record"))
+                length = _length(file, size)
+                claimed += int.from_bytes(header["size"], "little") if header["op"] == b"\x05" else 0
+            else:
+                op, length = struct.unpack("<BQ", _exactly(file, 9, size, "record"))
+                if op == 0x06:
+                    claimed += struct.unpack("<16xQ", _exactly(file, 24, size, "chunk"))[0]
+                    length -= 24
+            refuse_excess(path, "its chunks", claimed, size)
+            if not 0 <= length <= size:
+                return
+            file.seek(length, 1)
+
+
+def _length(file: IO[bytes], size: int) -> int:
+    return int.from_bytes(_exactly(file, 4, size, "record"), "little")
 
 
 def _exactly(file: IO[bytes], count: int, size: int, what: str) -> bytes:
@@ -157,7 +189,7 @@ def _mcap_chunk(path: Path, record: bytes, at: int) -> bytes:
     _, _, whole, crc = struct.unpack_from("<QQQI", record)
     kind, start = _string(record, 28)
     try:
-        data = _decompress(path, kind, record[start + 8 :])
+        data = _decompress(path, kind, record[start + 8 :], whole)
     except Exception as error:  # each decompressor has its own
         raise ValueError(f"the chunk at byte {at} is damaged ({error})") from error
     if len(data) != whole or (crc and zlib.crc32(data) != crc):
@@ -208,10 +240,8 @@ def _ros1_header(data: bytes) -> dict[str, bytes]:
 
 
 def _ros1_record(file: IO[bytes], size: int) -> tuple[dict[str, bytes], bytes]:
-    header = _exactly(file, int.from_bytes(_exactly(file, 4, size, "record"), "little"), size, "record")
-    return _ros1_header(header), _exactly(
-        file, int.from_bytes(_exactly(file, 4, size, "record"), "little"), size, "record"
-    )
+    header = _exactly(file, _length(file, size), size, "record")
+    return _ros1_header(header), _exactly(file, _length(file, size), size, "record")
 
 
 def _scan_ros1(path: Path, channels: Channels, wanted: Wanted) -> Messages:
@@ -228,7 +258,10 @@ def _scan_ros1(path: Path, channels: Channels, wanted: Wanted) -> Messages:
                 index = int.from_bytes(header["index_pos"], "little")
             elif header["op"] == b"\x05":
                 try:
-                    chunk = _decompress(path, header["compression"].decode(), data)
+                    whole = int.from_bytes(header["size"], "little")
+                    chunk = _decompress(path, header["compression"].decode(), data, whole)
+                    if len(chunk) != whole:
+                        raise ValueError("its length is not what it says")
                 except Exception as error:  # each decompressor has its own
                     raise ValueError(f"the chunk at byte {at} is damaged ({error})") from error
                 inner = io.BytesIO(chunk)

@@ -22,6 +22,7 @@ from jaxest.io.bag_scan import Channel, Channels, indexed, scan
 from jaxest.io.columns import seconds
 from jaxest.io.extras import need
 from jaxest.io.files import PathLike, existing
+from jaxest.io.growth import refuse_excess
 from jaxest.io.log import SensorLog, Stream, check
 from jaxest.io.raw import Raw
 from jaxest.types import InputError, unknown_name
@@ -135,7 +136,7 @@ def _log(path: Path, found: Bag, clock: Clock, chosen: Chosen) -> SensorLog:
                 numbers = np.concatenate(which)
                 place = sort[np.searchsorted(number, numbers, sorter=sort)]
                 turn = np.lexsort((numbers, bag[place]))  # the bag's order
-                value, more = _clouds(kept, turn) if quantity == "points" else (_joined(path, kept, turn), [])
+                value, more = _clouds(path, kept, turn) if quantity == "points" else (_joined(path, kept, turn), [])
                 name = _name(owner, quantity)
                 if name in streams:
                     raise InputError(f"{path}: two topics give the stream {name!r}")
@@ -168,9 +169,10 @@ def _joined(path: Path, kept: list[NDArray[Any]], turn: NDArray[np.int64]) -> ND
     return value if (np.diff(turn) == 1).all() else value[turn]
 
 
-def _clouds(kept: list[NDArray[Any]], turn: NDArray[np.int64]) -> tuple[NDArray[Any], list[str]]:
+def _clouds(path: Path, kept: list[NDArray[Any]], turn: NDArray[np.int64]) -> tuple[NDArray[Any], list[str]]:
     """Put clouds of points into one array, and say where that took padding."""
     sizes = [len(cloud) for cloud in kept]
+    refuse_excess(path, "clouds padded to the largest", 24 * len(kept) * max(sizes), 24 * sum(sizes))
     value = np.full((len(kept), max(sizes), 3), np.nan, kept[0].dtype)
     for i, row in enumerate(turn):
         value[i, : sizes[row]] = kept[row]

@@ -139,7 +139,7 @@ def _header(raw: Raw) -> dict[str, tuple[Leaf, NDArray[Any]]]:
         ]
     except InputError:
         raise
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{place}: its header is damaged ({error!r})") from error
     found = {}
     for i, leaf in enumerate(leaves):

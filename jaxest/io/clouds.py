@@ -1,11 +1,13 @@
 """Point clouds in files: PLY and PCD for viewers, NPZ for ourselves."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.io import npz
+from jaxest.io.files import existing, replacing
 from jaxest.types import InputError
 
 SUFFIXES = (".ply", ".pcd", ".npz")
@@ -24,14 +26,14 @@ class Cloud(NamedTuple):
 
 
 def write_cloud(cloud: Cloud, path: str | Path) -> None:
-    """Write points.
+    """Write points, whole or not at all; a file that is there is replaced.
 
     Args:
         cloud: the points.
         path: ends in `.ply` (binary), `.pcd` (binary) or `.npz`.
 
     Raises:
-        InputError: another suffix, or shapes that do not fit.
+        InputError: another suffix, shapes that do not fit, or the file cannot be written.
     """
     path = Path(path)
     point = np.asarray(cloud.point, float).reshape(-1, 3) if np.size(cloud.point) else np.zeros((0, 3))
@@ -39,7 +41,7 @@ def write_cloud(cloud: Cloud, path: str | Path) -> None:
     if count.shape != (len(point),):
         raise InputError(f"{path}: {count.shape} counts for {len(point)} points")
     if _suffix(path) == ".npz":
-        np.savez(path, point=point, count=count)
+        npz.save(path, {"point": point, "count": count}, overwrite=True)
         return
     rows = np.column_stack([point, count]).astype("<f4")
     if _suffix(path) == ".ply":
@@ -50,7 +52,8 @@ def write_cloud(cloud: Cloud, path: str | Path) -> None:
             "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z count\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
             f"WIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\nDATA binary\n"
         )
-    path.write_bytes(head.encode() + rows.tobytes())
+    with replacing(path, overwrite=True) as file:
+        file.write(head.encode() + rows.tobytes())
 
 
 def read_cloud(path: str | Path) -> Cloud:
@@ -63,27 +66,22 @@ def read_cloud(path: str | Path) -> Cloud:
         The points that are finite.
 
     Raises:
-        FileNotFoundError: no such file.
-        InputError: the file is no point cloud; the message says why.
+        InputError: no such file, or it is no point cloud; the message says why.
     """
     path = Path(path)
-    suffix, data = _suffix(path), path.read_bytes()
+    suffix = _suffix(path)
     if suffix == ".npz":
-        try:
-            with np.load(path) as kept:
-                point = np.asarray(kept["point"], float)
-                count = np.asarray(kept["count"], float) if "count" in kept else np.ones(len(point))
-        except (KeyError, ValueError, OSError) as error:
-            raise InputError(f"{path}: {error}, expected arrays 'point' (n, 3) and 'count' (n,)") from None
-        if point.ndim != 2 or point.shape[1] != 3 or count.shape != (len(point),):
-            raise InputError(f"{path}: shapes {point.shape} and {count.shape}, expected (n, 3) and (n,)")
+        point, count = _npz(path)
     else:
+        data = existing(path).read_bytes()
         table = _ply(path, data) if suffix == ".ply" else _pcd(path, data)
         missing = [name for name in "xyz" if name not in (table.dtype.names or ())]
         if missing:
             raise InputError(f"{path}: has no field {', '.join(missing)}; found {', '.join(table.dtype.names or ())}")
-        point = np.column_stack([table[name].astype(float) for name in "xyz"])
-        count = table["count"].astype(float) if "count" in (table.dtype.names or ()) else np.ones(len(point))
+        with np.errstate(invalid="ignore"):  # of signalling NaNs, which are left out below
+            point = np.column_stack([table[name].astype(float) for name in "xyz"])
+            known = "count" in (table.dtype.names or ())
+            count = table["count"].astype(float) if known else np.ones(len(point))
     good = np.isfinite(point).all(axis=1)
     return Cloud(point[good], count[good])
 
@@ -94,6 +92,19 @@ def _suffix(path: Path) -> str:
     return path.suffix.lower()
 
 
+def _npz(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    raw = npz.load(path)
+    if "point" not in raw.arrays:
+        raise InputError(f"{path}: holds {', '.join(raw.arrays) or 'nothing'}, expected arrays 'point' and 'count'")
+    point = raw.arrays["point"]
+    count = raw.arrays.get("count", np.ones(point.shape[:1]))
+    if point.ndim != 2 or point.shape[1] != 3 or count.shape != (len(point),):
+        raise InputError(f"{path}: shapes {point.shape} and {count.shape}, expected (n, 3) and (n,)")
+    if not {point.dtype.kind, count.dtype.kind} <= set("biuf"):
+        raise InputError(f"{path}: points of {point.dtype} and counts of {count.dtype}, expected real numbers")
+    return point.astype(np.float64), count.astype(np.float64)
+
+
 def _ply(path: Path, data: bytes) -> NDArray[np.void]:
     head, mark, body = data.partition(b"end_header\n")
     lines = head.decode("ascii", "replace").split("\n")
@@ -101,20 +112,20 @@ def _ply(path: Path, data: bytes) -> NDArray[np.void]:
         raise InputError(f"{path}: is no PLY file, it begins with {data[:12]!r}")
     kind, count, fields, inside = "", 0, [], False
     for line in lines[1:]:
-        words = line.split()
-        if words[:1] == ["format"]:
-            kind = words[1]
-        elif words[:1] == ["element"]:
-            inside = words[1] == "vertex"
-            count = int(words[2]) if inside else count
-        elif words[:1] == ["property"] and inside:
-            if words[1] not in _PLY:
-                raise InputError(f"{path}: property {line!r}, expected numbers")
-            fields.append((words[2], _PLY[words[1]]))
+        match line.split():
+            case ["format", kind, *_]:
+                pass
+            case ["element", name, number, *_]:
+                inside = name == "vertex"
+                count = _number(path, line, number) if inside else count
+            case ["property", code, name] if inside and code in _PLY:
+                fields.append((name, _PLY[code]))
+            case ["property", *_] if inside:
+                raise InputError(f"{path}: property {line[:60]!r}, expected numbers")
     order = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}.get(kind)
     if order is None:
         raise InputError(f"{path}: format {kind!r}, expected ascii or binary")
-    dtype = np.dtype([(name, order + code) for name, code in fields])
+    dtype = _dtype(path, [(name, order + code) for name, code in fields])
     return _table(path, body, count, dtype, kind == "ascii")
 
 
@@ -133,14 +144,33 @@ def _pcd(path: Path, data: bytes) -> NDArray[np.void]:
         sizes, kinds, names = found["SIZE"], found["TYPE"], found["FIELDS"]
         repeats = [int(x) for x in found.get("COUNT", ["1"] * len(names))]
         code = {"F": "f", "I": "i", "U": "u"}
-        dtype = np.dtype([(n, f"<{code[k]}{s}") if r == 1 else (n, f"<{code[k]}{s}", (r,))
-                          for n, k, s, r in zip(names, kinds, sizes, repeats, strict=True)])  # fmt: skip
-        count = int(found["POINTS"][0])
+        fields = [(n, f"<{code[k]}{s}") if r == 1 else (n, f"<{code[k]}{s}", (r,))
+                  for n, k, s, r in zip(names, kinds, sizes, repeats, strict=True)]  # fmt: skip
+        count = _number(path, "POINTS", found["POINTS"][0])
     except (KeyError, ValueError, IndexError) as error:
         raise InputError(f"{path}: header without or with a wrong {error}") from None
     if found["DATA"] not in (["ascii"], ["binary"]):
         raise InputError(f"{path}: DATA {' '.join(found['DATA'])}, expected ascii or binary")
-    return _table(path, data[at:], count, dtype, found["DATA"] == ["ascii"])
+    return _table(path, data[at:], count, _dtype(path, fields), found["DATA"] == ["ascii"])
+
+
+def _number(path: Path, line: str, text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) < 16):
+        raise InputError(f"{path}: {line[:60]!r}: found {text[:30]!r}, expected a number of points")
+    return int(text)
+
+
+def _dtype(path: Path, fields: list[Any]) -> np.dtype[Any]:
+    """The layout of a point, of single numbers under different names."""
+    try:
+        dtype = np.dtype(fields)
+        if not fields or not all(dtype[i].base.kind in "iuf" for i in range(len(fields))):
+            raise ValueError("no fields of numbers")
+        if any(dtype[name].shape for name in "xyz" if name in (dtype.names or ())):
+            raise ValueError("several numbers in x, y or z")
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{path}: fields that no point has ({error}), expected x, y, z and other numbers") from None
+    return dtype
 
 
 def _table(path: Path, body: bytes, count: int, dtype: np.dtype, text: bool) -> NDArray[np.void]:
@@ -153,8 +183,9 @@ def _table(path: Path, body: bytes, count: int, dtype: np.dtype, text: bool) -> 
     if len(rows) < count or wrong is not None:
         raise InputError(f"{path}: {len(rows)} rows of points, expected {count} of {len(dtype.names or ())} numbers")
     try:
-        return np.array([tuple(float(x) for x in row) for row in rows], dtype)
-    except ValueError as error:
+        with np.errstate(over="ignore"):  # what a float32 cannot hold is infinite, and left out
+            return np.array([tuple(float(x) for x in row) for row in rows], dtype)
+    except (ValueError, TypeError, OverflowError) as error:
         raise InputError(f"{path}: {error}") from None
 
 

@@ -34,7 +34,7 @@ def read_config(path: PathLike, schema: Schema | None = None) -> dict[str, Any]:
         data = tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: byte {error.start} is not text; expected TOML in UTF-8") from error
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise InputError(f"{path}: not valid TOML: {error}") from error
     rest = {key: value for key, value in data.items() if key != "columns"}
     if "columns" in data:

@@ -90,7 +90,7 @@ def _text(path: Path) -> str:
 def _meta(source: str, line: str) -> dict[str, Any]:
     try:
         meta = json.loads(line.removeprefix(MARK))
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{source}: line 1: what follows '{MARK.strip()}' is not JSON ({error})") from error
     if not isinstance(meta, dict) or not all(isinstance(entry, dict) for entry in meta.values()):
         raise InputError(f"{source}: line 1: expected one JSON object with an object for each stream")

@@ -22,7 +22,7 @@ def existing(path: PathLike) -> Path:
         The path.
 
     Raises:
-        InputError: no such file, a folder, an empty file, or one that may not be read.
+        InputError: no such file, a folder, a pipe, an empty file, or one that may not be read.
     """
     path = Path(path)
     if path.is_dir():
@@ -33,7 +33,9 @@ def existing(path: PathLike) -> Path:
         raise InputError(f"{path}: no such file{hint}")
     if not os.access(path, os.R_OK):
         raise InputError(f"{path}: may not be read (permission denied)")
-    if path.is_file() and path.stat().st_size == 0:
+    if not path.is_file():
+        raise InputError(f"{path}: is a pipe or a device, expected a file")
+    if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty")
     return path
 

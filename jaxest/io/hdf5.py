@@ -2,7 +2,7 @@
 
 Of other people's files, each dataset is an array by its path (`imu/gyr`), each member of a compound dataset one of its
 own (`samples.gx`), and each numeric attribute one as `PATH@NAME` (`@fs` for one of the file). Text and references are
-left out, and links into other files are not followed.
+left out, and neither links into other files nor datasets that keep their numbers there are followed.
 """
 
 import io
@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from jaxest.io.extras import need
 from jaxest.io.files import PathLike, existing, replacing
+from jaxest.io.growth import excessive
 from jaxest.io.log import SensorLog
 from jaxest.io.npz import meta_of, to_text
 from jaxest.io.raw import Raw
 from jaxest.types import InputError
-
-_ODD_RATIO, _LARGE = 100, 2**30  # a dataset that claims hundredfold what is stored, and more than 1 GiB
 
 
 def load(path: PathLike) -> Raw:
@@ -38,15 +37,22 @@ def load(path: PathLike) -> Raw:
     arrays: dict[str, NDArray[Any]] = {}
     refused: dict[str, str] = {}
     broken: dict[str, str] = {}
+    claimed, stored = [0], path.stat().st_size
 
     def visit(name: str, item: Any) -> None:
         _attributes(name, item, arrays)
         if not isinstance(item, h5py.Dataset):
             return
         try:
-            if item.nbytes > _LARGE and item.nbytes > _ODD_RATIO * max(item.id.get_storage_size(), 1):
-                broken[name] = f"dataset {name!r} claims {item.nbytes} bytes and stores {item.id.get_storage_size()}"
+            if item.external or item.is_virtual:
+                refused[name] = f"dataset {name!r} keeps its numbers in other files, which are not followed"
                 return
+            if excessive(claimed[0] + item.nbytes, stored):
+                broken[name] = (
+                    f"dataset {name!r} claims {item.nbytes} bytes, those before it {claimed[0]}, out of {stored} stored"
+                )
+                return
+            claimed[0] += item.nbytes
             _dataset(name, item, h5py, arrays, refused)
         except (OSError, RuntimeError, ValueError, TypeError) as error:
             broken[name] = f"dataset {name!r} cannot be read ({error})"
@@ -55,7 +61,7 @@ def load(path: PathLike) -> Raw:
         with h5py.File(path, "r") as file:
             _attributes("", file, arrays)
             file.visititems(visit)
-    except (OSError, RuntimeError, KeyError) as error:
+    except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"{path}: not a readable HDF5 file ({error}); of a truncated one nothing can be read, as its parts are "
             "found only through one another"

@@ -75,7 +75,7 @@ def _info(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: has no meta/info.json, which a LeRobot dataset has")
     try:
         info = json.loads(file.read_text())
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{file}: is not JSON: {error}") from error
     features = info.get("features") if isinstance(info, dict) else None
     if not isinstance(features, dict) or not all(isinstance(entry, dict) for entry in features.values()):

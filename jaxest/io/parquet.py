@@ -69,7 +69,7 @@ def _meta(source: str, table: Any) -> dict[str, Any] | None:
         return None
     try:
         meta = json.loads(text)
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{source}: its metadata {_KEY.decode()!r} is not JSON: {error}") from error
     if not isinstance(meta, dict) or not all(isinstance(entry, dict) for entry in meta.values()):
         raise InputError(f"{source}: its metadata {_KEY.decode()!r} must be an object with an object for each stream")

@@ -14,7 +14,7 @@ from jaxest.io import columns, plausible, units
 from jaxest.io.columns import Column, ColumnTable
 from jaxest.io.raw import Raw
 from jaxest.io.words import Word, classify
-from jaxest.types import InputError
+from jaxest.types import InputError, listed
 
 
 class Proposal(NamedTuple):
@@ -74,8 +74,8 @@ def guess(raw: Raw) -> Proposal:
 
 
 def _listing(raw: Raw) -> str:
-    entries = [f"{name} {value.shape}" for name, value in raw.arrays.items()]
-    return "; ".join([", ".join(entries) or "none", *raw.refused.values()])
+    entries = listed(f"{name} {value.shape}" for name, value in raw.arrays.items())
+    return "; ".join([entries, *list(raw.refused.values())[:20]])
 
 
 def _example(raw: Raw) -> str:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxest.kinematics.given_inertia import put_back, set_aside, weightless
+from jaxest.kinematics.includes import check_includes
 from jaxest.kinematics.lean import drop_decoration, drop_meshes, give_unit_inertia
 from jaxest.kinematics.robot import BALL, FREE, HINGE, NQ, SLIDE, Robot, Topology
 from jaxest.kinematics.urdf import check_text, check_urdf
@@ -103,13 +104,14 @@ def _text(source: str | Path) -> tuple[str, bool, str]:
     return text, False, Path(source).read_text(encoding="utf-8", errors="replace")
 
 
-def _read(source: str | Path) -> tuple[str, Any]:
-    """Parse a file or a text; return a name for messages and MuJoCo's editable model."""
+def _read(source: str | Path) -> tuple[str, Any, list[str]]:
+    """Parse a file or a text; return a name for messages, MuJoCo's editable model, and notes."""
     import mujoco
 
     name, inline, text = _text(source)
     check_text(name, text)
     check_urdf(name, text)
+    notes = check_includes(name, text, Path() if inline else Path(name).parent)
     try:
         spec = mujoco.MjSpec.from_string(text) if inline else mujoco.MjSpec.from_file(name)
     except ValueError as error:
@@ -118,7 +120,7 @@ def _read(source: str | Path) -> tuple[str, Any]:
         _ = [part.name for group in (spec.bodies, spec.joints, spec.sites, spec.geoms) for part in group]
     except UnicodeDecodeError as error:
         raise InputError(f"{name}: a name is not UTF-8 ({error.object!r}); save the file as UTF-8") from None
-    return name, spec
+    return name, spec, notes
 
 
 def _one_line(error: Exception | Warning | str) -> str:
@@ -128,7 +130,7 @@ def _one_line(error: Exception | Warning | str) -> str:
 def _compile(source: str | Path) -> tuple[str, mujoco.MjModel, tuple[str, ...], list[str]]:
     """Compile what kinematics and dynamics need; return a name, the model, the bodies without inertia, and notes."""
     with _heard() as heard:
-        name, spec = _read(source)
+        name, spec, told = _read(source)
         spec.compiler.fusestatic = False
         notes, massless = drop_meshes(spec)
         drop_decoration(spec)
@@ -146,7 +148,7 @@ def _compile(source: str | Path) -> tuple[str, mujoco.MjModel, tuple[str, ...], 
                 model = spec.compile()
             except ValueError as second:
                 raise _refusal(name, second) from None
-    notes += dict.fromkeys(_one_line(line) for line in heard)
+    notes += [*told, *dict.fromkeys(_one_line(line) for line in heard)]
     put_back(model, given)
     massless += weightless(model, given)
     odd, massless = (  # a fixed body's weight does not matter

@@ -57,7 +57,7 @@ def test_other_peoples_files(tmp_path):
             "1 rows of points, expected 2",
         ),
         ("a.pcd", b"FIELDS x y z\nPOINTS 2\nDATA ascii\n1 2 3\n", "header without"),
-        ("a.npz", b"no", "expected arrays 'point'"),
+        ("a.npz", b"no", "expected a zip of .npy"),
         ("a.xyz", b"", "ends in '.xyz', expected one of .ply, .pcd, .npz"),
     ],
 )

@@ -79,7 +79,7 @@ def test_a_dataset_that_claims_more_than_there_is(tmp_path):
     with h5py.File(path, "w") as file:
         file.create_dataset("huge", (2**40,), "f8", chunks=(2**16,))
         file["t"], file["gyr"] = TIME, GYR
-    with pytest.raises(InputError, match="'huge' claims 8796093022208 bytes and stores 0"):
+    with pytest.raises(InputError, match="'huge' claims 8796093022208 bytes"):
         read(path)
     log = read(path, {"time": "t", "gyroscope": {"array": "gyr"}})
     np.testing.assert_array_equal(log.streams["gyroscope"].value, GYR)

@@ -16,6 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxest.filters._small import finite
 from jaxest.filters.attitude import lowpass as low
 from jaxest.filters.attitude import rest as resting
 from jaxest.filters.attitude.decoupled_state import Info, Params, State, init
@@ -23,7 +24,7 @@ from jaxest.filters.attitude.field import heading_slope, mahalanobis, trust
 from jaxest.filters.attitude.readings import Sample, direction, length, levelled, northward, usable
 from jaxest.filters.complementary import Imu
 from jaxest.manifolds import quaternion as quat
-from jaxest.types import Array
+from jaxest.types import OUT_OF_RANGE, Array
 
 
 def step(params: Params, state: State, measurement: Imu, *, key: Array | None = None) -> tuple[State, Info]:
@@ -53,7 +54,11 @@ def step(params: Params, state: State, measurement: Imu, *, key: Array | None = 
         index=state.index + 1,
         initialized=state.initialized | sample.accelerometer.valid,
     )
-    return moved, _info(params, moved, weight, sample.status, seen=measurement.magnetometer is not None)
+    fits = finite((moved, weight))
+    moved = jax.tree.map(lambda after, before: jnp.where(fits, after, before), moved, state._replace(index=moved.index))
+    status = jnp.where(fits, sample.status, OUT_OF_RANGE)
+    info = _info(params, moved, jnp.where(fits, weight, 0), status, seen=measurement.magnetometer is not None)
+    return moved, info
 
 
 def _turned(params: Any, state: State, sample: Sample) -> tuple[State, Array]:

@@ -103,7 +103,7 @@ class Info(NamedTuple):
     valid: Array
     """() bool, whether each vector sensor has set its part of the orientation yet."""
     status: Array
-    """() int32, `OK` or `NON_FINITE`; see `jaxest.types.status_message`."""
+    """() int32, `OK`, `NON_FINITE`, or `OUT_OF_RANGE` (state as before); see `jaxest.types.status_message`."""
     covariance: Array
     """(3, 3) rad^2 of theta in `truth = quaternion * exp(theta)`. Without a magnetometer the heading counts from the
     first sample on, whose heading defines the earth frame; before the first samples nothing is known: pi^2 / 3."""
