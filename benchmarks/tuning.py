@@ -201,6 +201,8 @@ def recovery(logs: int, seed: int, evaluations: int, keys: int = 6) -> list[Row]
     expected = np.asarray(problem.space.values(problem.space.pack(true, np.float32)))
     rows = []
     for row, value in zip(tuning.estimates(problem, found.point, curvature), expected, strict=True):
+        if row.sd == 0:  # a concentration that stays 0
+            continue
         off = (row.value - value) / row.sd
         rows.append(Row(row.name, f"{logs} logs of 100 steps, from {row.start:g}; off by {off:+.2f} sd", row.value, "1",
                         row.sd, logs, float(value), "generating value"))  # fmt: skip

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from jaxest.io.report import Row
 
 CASES = {
+    "bingham": "jaxest.bench.bingham",
     "deflection": "jaxest.bench.deflection",
     "dynamics": "jaxest.bench.dynamics",
     "import": "jaxest.bench.import_time",
@@ -28,6 +29,9 @@ CASES = {
     "onsite": "jaxest.bench.onsite",
     "orientation": "jaxest.bench.orientation",
     "posture": "jaxest.bench.posture",
+    "rls": "jaxest.bench.rls",
+    "savitzky_golay": "jaxest.bench.savitzky_golay",
+    "scaling": "jaxest.bench.scaling",
     "slam": "jaxest.bench.slam",
     "torque": "jaxest.bench.torque",
 }

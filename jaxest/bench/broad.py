@@ -1,4 +1,4 @@
-"""How accurate the attitude filters are on the recordings of BROAD (Laidig et al. 2021), beside VQF.
+"""How accurate the attitude filters are on the recordings of BROAD (Laidig et al. 2021), beside others'.
 
 All trials at once, padded to one length and masked, each filter with one setting for all. A figure is the mean over the
 trials of a group of the root mean square error over the samples that move and whose truth is known, in degrees.
@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.bench import attitude_peers
 from jaxest.bench.harness import Progress, find_peer
 from jaxest.filters import attitude, complementary, run
 from jaxest.filters.complementary import Imu
@@ -176,7 +177,7 @@ def rows(folder: Path, *, peers: bool = True, progress: Progress = lambda messag
 
     Args:
         folder: with the trials.
-        peers: whether to run VQF beside them.
+        peers: whether to run VQF beside them, and `imufusion` and `ahrs` where they are installed.
         progress: hears what is being measured.
 
     Yields:
@@ -200,6 +201,18 @@ def rows(folder: Path, *, peers: bool = True, progress: Progress = lambda messag
                 reference = PEERS.get(name, "VQF")
                 beside = None if vqf is None else _errors(recorded, peer(vqf, reference, recorded, axes), part)
                 yield from _rows(f"{part} RMSE, {axes} axes, {name}", chosen, error, reference, beside)
+        for name, quaternions in _others(trials, axes, progress).items() if peers else ():
+            yield from _rows(f"{part} RMSE, {axes} axes, {name}", members, _errors(trials, quaternions, part), "", None)
+
+
+def _others(trials: list[Trial], axes: int, progress: Progress) -> dict[str, list[NDArray[Any]]]:
+    """Estimates of all trials by the filters of `attitude_peers`, by name."""
+    found: dict[str, list[NDArray[Any]]] = {}
+    for trial in trials:
+        progress(f"imufusion, ahrs, {axes} axes: {trial.name}")
+        for name, quaternions in attitude_peers.estimates(trial.sensors, trial.interval, axes).items():
+            found.setdefault(name, []).append(quaternions)
+    return found
 
 
 def _rows(

@@ -27,6 +27,8 @@ PEERS = {
     "NumPy filter with Pinocchio": "pinocchio",
     "particles with vectorised NumPy": "particles",
     "cuthbert, same likelihood": "cuthbert",
+    "pyrecest with vectorised NumPy": "pyrecest.filters",
+    "blackwell, same likelihood": "blackwell.filters.particle",
 }
 """What is raced beside the bootstrap filter, and the package it needs. `particles` asks for NumPy 1: install it with
 `pip install --no-deps particles`."""
@@ -63,7 +65,11 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
         yield compare("live step", condition, found[name], machine)
         for peer, package in PEERS.items() if name == "bootstrap" and peers else ():
             yield compare(
-                "live step", condition, found[name], found.get(peer), missing="" if peer in found else package
+                "live step",
+                condition,
+                found[name],
+                found.get(peer),
+                missing="" if peer in found else package.split(".")[0],
             )
     if peers:
         progress("deflection: accuracy")
@@ -75,17 +81,22 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
 
 def _peers(robot: Any, count: int) -> list[Candidate]:
     """The filters of others that are installed."""
-    pinocchio, core, cuthbert = (find_peer(package) for package in PEERS.values())
-    numpy, particles, jitted = PEERS
+    pinocchio, core, cuthbert, torus, blackwell = (find_peer(package) for package in PEERS.values())
+    numpy, particles, jitted, wrapped, gaussian = PEERS
     found = []
     model = pinocchio_model(models.path("arm"), robot)
     if pinocchio is not None and model is not None:
         found.append(Candidate(numpy, deflection_peers.numpy_filter(pinocchio, model, count)))
     if core is not None:
         found.append(Candidate(particles, deflection_peers.particles_filter(core, count)))
+    if torus is not None:
+        found.append(Candidate(wrapped, deflection_peers.pyrecest_filter(torus, count)))
+    _, params, measurements = _problem(robot, count, deflection.bootstrap)
+    first = jax.tree.map(lambda x: x[0], measurements)
+    if blackwell is not None:
+        given = params, deflection_accuracy.still(SENSORS)
+        found.append(Candidate(gaussian, deflection_peers.blackwell_filter(blackwell, robot, SENSORS, given, count)))
     if cuthbert is not None:
-        _, params, measurements = _problem(robot, count, deflection.bootstrap)
-        first = jax.tree.map(lambda x: x[0], measurements)
         step, state = deflection_peers.cuthbert_filter(robot, SENSORS, (params, first), count)
         key = jax.random.key(1)
         found.append(Candidate(jitted, lambda: step(state, key)))

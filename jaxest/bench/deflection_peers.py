@@ -121,6 +121,87 @@ def cuthbert_filter(robot: Any, sensors: tuple[Sensor, ...], given: tuple[Any, A
     return step, step(first, jax.random.key(1))[0]
 
 
+def pyrecest_filter(filters: Any, count: int) -> Callable[[], Any]:
+    """Return a step of `pyrecest`'s filter on the torus with forward kinematics in NumPy for all at once, float64.
+
+    Args:
+        filters: the module `pyrecest.filters`.
+        count: number of particles.
+    """
+    random, look = np.random.default_rng(0), _arm()
+    torus = filters.HypertoroidalParticleFilter(count, 4)
+    torus.filter_state.d = random.vonmises(0, 0.1, (count, 4)) % (2 * np.pi)
+
+    def likelihood(x: Any) -> Any:
+        log = _log_likelihood(x, *look(x))
+        return np.exp(log - log.max())
+
+    def step() -> Any:
+        torus.predict_nonlinear(lambda x: _walked(random, x), None)
+        torus.update_nonlinear_using_likelihood(likelihood)
+        x, w = torus.filter_state.d, torus.filter_state.w  # resampled already: there is no mean of the weighted ones
+        return np.arctan2(w @ np.sin(x), w @ np.cos(x))
+
+    return step
+
+
+def blackwell_filter(
+    module: Any, robot: Any, sensors: tuple[Sensor, ...], given: tuple[Any, Any], count: int
+) -> Callable[[], Any]:
+    """Return a step of `blackwell` on our residuals, whose squares are the likelihood, float32; its walk is Gaussian.
+
+    Args:
+        module: `blackwell.filters.particle`.
+        robot: the packaged arm.
+        sensors: as the benchmark has them.
+        given: parameters and measurement.
+        count: number of particles.
+    """
+    params, measurement = given
+    body = bodies.body(robot, sensors, None, ())
+    size = jax.eval_shape(lambda x: bodies.rows(body, params, x, measurement)[0], jnp.zeros(4)).shape[0]
+
+    class Space:
+        def retract(self, x: Any, v: Any) -> Any:
+            return von_mises.circle.wrap(x + v)
+
+    class Walk:
+        def propagate(self, x: Any, control: Any, model: Any) -> Any:
+            return x
+
+        def process_covariance(self, x: Any, control: Any, model: Any) -> Any:
+            return jnp.eye(4) / 5.0
+
+    class Look:
+        def observe(self, x: Any, model: Any) -> Any:
+            return x
+
+        def measurement_residual(self, seen: Any, x: Any, model: Any) -> Any:
+            return bodies.rows(body, params, x, measurement)[0]
+
+        def measurement_covariance(self, x: Any, model: Any) -> Any:
+            return jnp.eye(size)
+
+    filtering = module.BootstrapParticleFilter(Space(), Walk(), Look())
+
+    @jax.jit
+    def advance(belief: Any, key: Any) -> Any:
+        key, move, choose = jax.random.split(key, 3)
+        moved = filtering.predict(move, belief, None, jnp.zeros(0))
+        weighed = filtering.update(moved, None, jnp.zeros(size))
+        w, x = weighed.weights, weighed.particles
+        return filtering.systematic_resample(choose, weighed), key, jnp.arctan2(w @ jnp.sin(x), w @ jnp.cos(x))
+
+    held: dict[str, Any] = {"key": jax.random.key(1)}
+    held["belief"] = filtering.initialise(jax.random.key(0), jnp.zeros(4), jnp.eye(4), count)
+
+    def step() -> Any:
+        held["belief"], held["key"], mean = advance(held["belief"], held["key"])
+        return mean
+
+    return step
+
+
 def _walked(random: np.random.Generator, x: NDArray[np.float64]) -> NDArray[np.float64]:
     moved = x + random.vonmises(0, 5.0, x.shape)
     return (moved + np.pi) % (2 * np.pi) - np.pi
@@ -170,4 +251,4 @@ def _rotations(axis: NDArray[np.float64], angle: NDArray[np.float64]) -> NDArray
     return found
 
 
-__all__ = ["cuthbert_filter", "numpy_filter", "particles_filter"]
+__all__ = ["blackwell_filter", "cuthbert_filter", "numpy_filter", "particles_filter", "pyrecest_filter"]

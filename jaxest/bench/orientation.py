@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest.bench import attitude_peers
+from jaxest.bench.attitude_peers import PEERS
 from jaxest.bench.harness import Candidate, Progress, Timing, candidate, compare, compile_row, find_peer, race
 from jaxest.filters import attitude, last, run
 from jaxest.io.report import Row
@@ -26,7 +28,8 @@ SYSTEMS = {
 def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Row]:
     """Time the filters of one IMU with a magnetometer, float32; the complementary one with and without covariance.
 
-    The peer is VQF in C++: another filter for the same sensors, called by the same program on the same samples.
+    The peer is VQF in C++: another filter for the same sensors, called by the same program on the same samples; the
+    live step also beside `imufusion` and `ahrs`.
 
     Args:
         peers: whether to run the peer.
@@ -40,12 +43,12 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
     """
     vqf = find_peer("vqf") if peers else None
     missing = "vqf" if peers and vqf is None else ""
-    yield from _live(vqf, missing, progress, small)
+    yield from _live(vqf, peers, missing, progress, small)
     yield from _batched(vqf, missing, progress, small)
     yield from _recordings(vqf, missing, progress, small)
 
 
-def _live(vqf: Any, missing: str, progress: Progress, small: bool) -> Iterable[Row]:
+def _live(vqf: Any, peers: bool, missing: str, progress: Progress, small: bool) -> Iterable[Row]:
     progress("live step")
     count = 5 if small else 200
     samples = _samples(jax.random.key(0), count)
@@ -61,11 +64,17 @@ def _live(vqf: Any, missing: str, progress: Progress, small: bool) -> Iterable[R
         candidates.append(Candidate(name, loop, count, compiled.compile_s))
     if vqf is not None:
         candidates.append(Candidate("vqf", partial(_walk_vqf, vqf, samples), count))
+    for name, step in attitude_peers.steps(1 / RATE, 9).items() if peers else ():
+        candidates.append(Candidate(name, partial(_walk_other, step, samples), count))
     timings = race(candidates, repeats=2 if small else 20)
     peer = _named(timings.get("vqf"), "VQF in C++, update() from Python")
     for name in chosen:
         yield compare("live step", f"{name}, each step waited for", timings[name], peer, missing=missing)
         yield compile_row(name, timings[name])
+    for name in PEERS if peers else ():
+        ours, beside = timings["one filter"], _named(timings.get(name), f"{name}, update from Python")
+        condition = "one filter, each step waited for"
+        yield compare("live step", condition, ours, beside, missing="" if beside else PEERS[name])
 
 
 def _batched(vqf: Any, missing: str, progress: Progress, small: bool) -> Iterable[Row]:
@@ -141,6 +150,13 @@ def _walk_vqf(vqf: Any, samples: Any) -> Any:
     for gyr, acc, mag in zip(*readings, strict=True):
         filter_.update(gyr, acc, mag)
         filter_.getQuat9D()
+    return None
+
+
+def _walk_other(step: Any, samples: Any) -> Any:
+    readings = (np.ascontiguousarray(np.asarray(sensor.value, np.float64)) for sensor in samples[:3])
+    for reading in zip(*readings, strict=True):
+        step(*reading)
     return None
 
 

@@ -58,7 +58,7 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
     with jax.enable_x64(True):
         progress("data, linearisation and warm-up")
         begun = time.perf_counter()
-        case = _case(small)
+        case = problem(small)
         iterations = 16 if small else ITERATIONS
         progress(f"{CHAINS} chains of {iterations} iterations")
         ours, r_hat = _ours(case, iterations)
@@ -74,7 +74,8 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
         yield _bootstrap(case, peers, small)
 
 
-def _case(small: bool) -> Case:
+def problem(small: bool) -> Case:
+    """Return the paper-like problem, tuned, with chains from dispersed starts; a short warm-up if small."""
     robot, model = kinematics.load(models.path("baxter_left_arm")), torque_model.constant(7)
     key = jax.random.key(0)
     scene = torque_settings.scene(robot, torque_settings.named("paper"), key=key)

@@ -6,13 +6,14 @@ from typing import Annotated
 import typer
 
 from jaxest.cli.devices import Devices
-from jaxest.cli.output import Answer, Json, Verbose, command, console, json_object, working
+from jaxest.cli.output import Answer, Json, Verbose, bad_input, command, console, json_object, working
 
 NAME = "bench"
 EXAMPLES = (
     "jaxest bench orientation",
     "jaxest bench kinematics --robot panda.xml",
     "jaxest bench torque --devices 2",
+    "jaxest bench scaling -o scaling.png",
     "jaxest bench --no-peers --json",
 )
 
@@ -32,6 +33,9 @@ def run(
         list[Path] | None,
         typer.Option("--robot", help="Another robot to measure (MJCF or URDF); may be given several times."),
     ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Picture of the case scaling; replaced if it exists.")
+    ] = None,
     show: Annotated[bool, typer.Option("--list", help="Name the cases and leave.")] = False,
     devices: Devices = None,
     json: Json = False,
@@ -46,11 +50,13 @@ def run(
     from jaxest.cli.tables import figures
     from jaxest.io.report import report, to_json
 
-    out = console()
+    page = console()
+    if out is not None and name != "scaling":
+        raise bad_input(f"--out {out}: only the case scaling has a picture, got {name or 'all cases'}")
     if show and json:
         return Answer(json_object(report("bench", []), cases=list(bench.CASES)))
     if show:
-        out.print("\n".join(bench.CASES))
+        page.print("\n".join(bench.CASES))
         return Answer()
     found = []
     robots = [str(file) for file in robot or ()]
@@ -58,6 +64,10 @@ def run(
         with working(f"{case} ...") as say:
             rows = list(bench.rows(case, peers=peers, progress=say, small=small, robots=robots))
         if not json:
-            out.print(figures(rows, case, timing=True))
+            page.print(figures(rows, case, timing=True))
         found += rows
+    if out is not None:
+        from jaxest.bench import scaling
+
+        scaling.draw(out, found)
     return Answer(to_json(report("bench", found))) if json else Answer()

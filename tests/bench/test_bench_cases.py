@@ -5,11 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxest import bench, kinematics, models
+from jaxest.bench import attitude_peers, posture_loop
 from jaxest.bench import posture as case
-from jaxest.bench import posture_loop
 from jaxest.bench.onsite_loop import loop
 from jaxest.filters import complementary, pair, run
-from jaxest.systems import onsite, posture
+from jaxest.metrics import orientation_error
+from jaxest.systems import onsite, orientation, posture
 from jaxest.types import InputError
 
 
@@ -26,20 +27,42 @@ def test_robots_are_for_kinematics():
 @pytest.mark.parametrize("peers", ["installed", "absent", "unwanted"])
 def test_orientation(peers, monkeypatch):
     if peers == "absent":
-        monkeypatch.setattr("jaxest.bench.orientation.find_peer", lambda name: None)
+        for module in ("orientation", "attitude_peers"):
+            monkeypatch.setattr(f"jaxest.bench.{module}.find_peer", lambda name: None)
     heard = []
     rows = list(bench.rows("orientation", peers=peers != "unwanted", progress=heard.append, small=True))
     assert heard
     metrics = [row.metric for row in rows]
-    assert metrics == ["live step", "compile"] * 2 + ["batched step", "compile"] * 3
+    others = [] if peers == "unwanted" else ["live step"] * len(attitude_peers.PEERS)
+    assert metrics == ["live step", "compile"] * 2 + others + ["batched step", "compile"] * 3
     assert all(row.value > 0 for row in rows)
     timed = [row for row in rows if row.metric != "compile"]
     if peers == "installed":
         pytest.importorskip("vqf")
-        assert all(row.ratio > 0 and row.reference > 0 and "VQF" in row.reference_name for row in timed)
+        beside = [row for row in timed if "not installed" not in row.reference_name]
+        assert all(row.ratio > 0 and row.reference > 0 for row in beside)
+        assert sum("VQF" in row.reference_name for row in beside) == 5
     else:
         assert all(row.ratio is None for row in timed)
         assert all((row.reference_name is not None) == (peers == "absent") for row in timed)
+
+
+@pytest.mark.parametrize("axes", [6, 9])
+def test_other_attitude_filters_find_the_orientation(axes):
+    """A peer that computes something else would be no peer."""
+    pytest.importorskip("ahrs")
+    system = orientation.build()
+    measurements, truth = system.simulate(
+        system.default_params, key=jax.random.key(0), steps=1500, rate_hz=100.0, shaking=0.1
+    )
+    names = ("gyroscope", "accelerometer", "magnetometer")
+    sensors = {name: np.asarray(getattr(measurements, name).value, float) for name in names}
+    found = attitude_peers.estimates(sensors, 0.01, axes)
+    assert found.keys() == attitude_peers.PEERS.keys()
+    for name, quaternions in found.items():
+        error = orientation_error(quaternions[1000:], np.asarray(truth.quaternion)[1000:])
+        part = error.total if axes == 9 else error.inclination
+        assert np.rad2deg(np.sqrt(np.mean(np.asarray(part) ** 2))) < 12, name
 
 
 def test_import():
