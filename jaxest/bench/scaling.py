@@ -1,4 +1,4 @@
-"""How time grows with size: particles, joints, chains, robots, IMU pairs, map points; log-log, with fitted exponents."""
+"""How time grows with size: particles, joints, chains, robots, IMU pairs, map points; with fitted exponents."""
 
 import time
 from collections.abc import Callable, Iterable, Sequence
