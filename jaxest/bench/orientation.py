@@ -64,8 +64,8 @@ def _live(vqf: Any, peers: bool, missing: str, progress: Progress, small: bool) 
         candidates.append(Candidate(name, loop, count, compiled.compile_s))
     if vqf is not None:
         candidates.append(Candidate("vqf", partial(_walk_vqf, vqf, samples), count))
-    for name, step in attitude_peers.steps(1 / RATE, 9).items() if peers else ():
-        candidates.append(Candidate(name, partial(_walk_other, step, samples), count))
+    for name, other in attitude_peers.steps(1 / RATE, 9).items() if peers else ():
+        candidates.append(Candidate(name, partial(_walk_other, other, samples), count))
     timings = race(candidates, repeats=2 if small else 20)
     peer = _named(timings.get("vqf"), "VQF in C++, update() from Python")
     for name in chosen:

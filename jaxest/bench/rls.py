@@ -64,12 +64,12 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
 
 def _observations(runs: int, length: int) -> rls.Observation:
     rng = np.random.default_rng(0)
-    regressor = rng.normal(size=(runs, length, 3, 3)).astype(np.float32)
-    target = (regressor @ UNKNOWN + NOISE * rng.normal(size=(runs, length, 3))).astype(np.float32)
-    there = np.ones((runs, length), bool)
+    regressor: Any = rng.normal(size=(runs, length, 3, 3)).astype(np.float32)
+    target: Any = (regressor @ UNKNOWN + NOISE * rng.normal(size=(runs, length, 3))).astype(np.float32)
+    there: Any = np.ones((runs, length), bool)
     none = np.zeros((runs, length, 3, 3), np.float32)
-    readings = (Reading(x, there) for x in (regressor, target))
-    return rls.Observation(*readings, none, np.full((runs, length), 0.01, np.float32))
+    dt = np.full((runs, length), 0.01, np.float32)
+    return rls.Observation(Reading(regressor, there), Reading(target, there), none, dt)
 
 
 def _loop(one: rls.Observation) -> Any:

@@ -48,15 +48,18 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
         condition = f"{count} samples of 3 channels, {stamps} stamps, value and derivative, per sample"
         missing = "scipy" if peers and names[stamps] not in found else ""
         yield compare("batched step", condition, found[stamps], found.get(names[stamps]), unit="ns", missing=missing)
-    for name, stamps, theirs in (
-        (names["even"], even, None if signal is None else _scipy(signal, value)[0]),
-        (names["real"], real, _loop(real[: 6 * HALF], value[: 6 * HALF])[0] if peers else None),
-    ):
-        if theirs is not None:
-            ours = np.asarray(savitzky_golay.smooth(stamps, value, half_width=HALF, degree=DEGREE).value)
-            inner = slice(HALF, len(ours) - HALF) if len(theirs) == len(ours) else slice(HALF, HALF + len(theirs))
-            theirs = theirs[inner] if len(theirs) == len(ours) else theirs
-            yield Row("largest difference of a value", name, float(np.abs(ours[inner] - theirs).max()), "1")
+    if signal is not None:
+        yield _difference(names["even"], even, value, _scipy(signal, value)[0][HALF:-HALF])
+    if peers:
+        few = 6 * HALF
+        yield _difference(names["real"], real, value, _loop(real[:few], value[:few])[0])
+
+
+def _difference(name: str, time: NDArray[Any], value: NDArray[Any], theirs: NDArray[Any]) -> Row:
+    """Compare with a peer's values from the first whole window on."""
+    ours = np.asarray(savitzky_golay.smooth(time, value, half_width=HALF, degree=DEGREE).value)
+    off = np.abs(ours[HALF : HALF + len(theirs)] - theirs).max()
+    return Row("largest difference of a value", name, float(off), "1")
 
 
 def _scipy(signal: Any, value: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
