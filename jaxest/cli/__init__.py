@@ -1,4 +1,4 @@
-"""The command line: `jaxest demo | inspect | estimate | compare | reproduce | bench | doctor`.
+"""The command line: `jaxest demo | inspect | estimate | show | compare | tune | reproduce | bench | doctor`.
 
 One file a command; each loads what it needs when it runs, so that `jaxest --help` is quick. `main` is the entry point.
 Commands only read arguments, call the library and print: whatever they compute can be computed from Python as well.

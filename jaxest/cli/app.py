@@ -6,10 +6,16 @@ from typing import Annotated
 import typer
 
 import jaxest
-from jaxest.cli import bench, compare, demo, doctor, estimate, inspect, reproduce, tune
+from jaxest.cli import bench, compare, demo, doctor, estimate, inspect, reproduce, show, tune
 
 EPILOG = (
-    "Start with [bold]jaxest demo[/], then [bold]jaxest inspect[/] a robot (MJCF, URDF) or a log (NPZ, CSV) of yours. "
+    "Start with [bold]jaxest demo[/], then [bold]jaxest inspect[/] a robot (MJCF, URDF) or a log (NPZ, CSV) of "
+    "yours.\n\n"
+    "jaxest inspect my_robot.urdf\n\n"
+    "jaxest inspect log.csv\n\n"
+    "jaxest estimate log.csv --method orientation --config log.toml -o out\n\n"
+    "jaxest reproduce santaera2015 --part table1 -o pictures\n\n"
+    "[bold]jaxest COMMAND --help[/] has examples of each. "
     "Exit status: 0 done, 2 bad input, 3 finished but the result must not be used."
 )
 
@@ -40,5 +46,5 @@ def _options(
     logging.getLogger("jaxest").addHandler(logging.NullHandler())  # commands print a robot's notes themselves
 
 
-for module in (demo, inspect, estimate, compare, tune, reproduce, bench, doctor):
+for module in (demo, inspect, estimate, show, compare, tune, reproduce, bench, doctor):
     app.command(module.NAME, epilog="\n\n".join(("Examples:", *module.EXAMPLES)))(module.run)

@@ -1,0 +1,147 @@
+"""`jaxest show`: an estimate as a moving picture, or as a recording for Rerun."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from jaxest.cli.output import Answer, Force, Json, Verbose, bad_input, command, console, working
+
+NAME = "show"
+EXAMPLES = (
+    "jaxest show out --robot arm.urdf -o arm.gif",
+    "jaxest show out --robot arm.urdf --beside log.npz:encoders -o arm.gif",
+    "jaxest show out --robot arm.xml --map out/slam_map.ply -o arm.rrd",
+)
+LONGEST = 240  # pictures of a GIF
+
+
+@command
+def run(
+    estimate: Annotated[Path, typer.Argument(help="What `estimate` wrote: its folder, or a log with joint angles.")],
+    robot: Annotated[Path, typer.Option("--robot", "-r", help="Robot (MJCF, URDF).")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="FILE.gif, FILE.png (the last posture) or FILE.rrd.")],
+    beside: Annotated[
+        str | None, typer.Option(help="LOG or LOG:STREAM with joint angles of a second robot, in red: encoders, truth.")
+    ] = None,
+    cloud: Annotated[Path | None, typer.Option("--map", help="Points of a map (PLY, PCD), for .rrd.")] = None,
+    frame: Annotated[
+        list[str] | None, typer.Option(help="Frame whose 95 % ellipsoid is drawn, for .rrd; several times.")
+    ] = None,
+    rate: Annotated[float, typer.Option(min=0.1, help="Pictures a second of the estimate's time.")] = 10.0,
+    force: Force = False,
+    json: Json = False,
+    verbose: Verbose = False,
+) -> Answer:
+    """Render a robot as it was estimated, or write a recording of it for the Rerun viewer."""
+    del verbose
+    from jaxest.viz import animation
+
+    animation.choose_renderer()
+    import numpy as np
+
+    from jaxest import io, kinematics
+    from jaxest.io.clouds import read_cloud
+    from jaxest.io.report import Row, report, to_json
+
+    if out.suffix.lower() not in (*animation.SUFFIXES, ".rrd"):
+        raise bad_input(f"{out}: expected a name that ends in {', '.join(animation.SUFFIXES)} or .rrd")
+    model = kinematics.load(robot)
+    source = estimate / "estimate.npz" if estimate.is_dir() else estimate
+    log = io.read(source)
+    joints = _stream(log, "joints" if "joints" in log.streams else None)
+    stamps = np.arange(joints.time[0], joints.time[-1] + 1e-9, 1 / rate)
+    if out.suffix.lower() == ".gif":
+        stamps = stamps[:: max(1, -(-len(stamps) // LONGEST))]
+    rows = np.clip(np.searchsorted(joints.time, stamps), 0, len(joints.time) - 1)
+    q = configurations(model, log, joints, rows)
+    other = None if beside is None else _beside(model, beside, stamps)
+    with working(f"drawing {len(rows)} postures ..."):
+        if out.suffix.lower() == ".rrd":
+            from jaxest.viz import recording
+
+            recording.write(
+                out, model, joints.time[rows], q, frames=tuple(frame or ()), beside=other, overwrite=force,
+                covariance=_covariance(model, log, joints, rows), points=read_cloud(cloud).point if cloud else None,
+            )  # fmt: skip
+        else:
+            animation.draw(out, robot, q, beside=other, rate_hz=min(rate, 25.0), overwrite=force)
+    if json:
+        return Answer(to_json(report("show", [Row("postures", out.name, float(len(rows)), "1")])))
+    console().print(f"wrote {out}: {len(rows)} postures of {joints.time[-1] - joints.time[0]:.1f} s", soft_wrap=True)
+    return Answer()
+
+
+def _stream(log: Any, name: str | None) -> Any:
+    """The stream of joint angles of that name, or the only one that names joints."""
+    from jaxest.types import unknown_name
+
+    if name is None:
+        named = [key for key, item in log.streams.items() if item.names and item.unit == "rad" and item.value.ndim == 2]
+        if len(named) != 1:
+            raise bad_input(f"{log.source}: {len(named)} streams of joint angles, expected one; name it: LOG:STREAM")
+        name = named[0]
+    if name not in log.streams:
+        raise unknown_name("stream", name, log.streams)
+    if not log.streams[name].names:
+        raise bad_input(f"{log.source}: stream {name!r} does not name its joints")
+    return log.streams[name]
+
+
+def configurations(robot: Any, log: Any, joints: Any, rows: Any) -> Any:
+    """Put joint angles, and orientations of ball and free joints, into the robot's coordinates; others stay at home.
+
+    Args:
+        robot: the robot.
+        log: the estimate, for streams `NAME/orientation`.
+        joints: its stream of named angles.
+        rows: (T,) which of its rows.
+
+    Returns:
+        (T, nq)
+    """
+    import jax
+    import numpy as np
+
+    from jaxest import kinematics
+    from jaxest.types import unknown_name
+
+    q = np.tile(np.asarray(robot.home, float), (len(rows), 1))
+    for column, name in enumerate(joints.names):
+        if name not in robot.joint_names:
+            raise unknown_name("joint", name, robot.joint_names)
+        value = joints.value[rows, column]
+        at = robot.topology.joint_q[robot.joint_names.index(name)]
+        q[:, at] = np.where(np.isfinite(value), value, q[:, at])
+    for j, name in enumerate(robot.joint_names):
+        kind, turned = robot.topology.joint_kind[j], log.streams.get(f"{name}/orientation")
+        if kind in ("ball", "free") and turned is not None and len(turned.value) == len(joints.value):
+            at = robot.topology.joint_q[j] + (3 if kind == "free" else 0)
+            q[:, at : at + 4] = turned.value[rows]
+    free = np.array(robot.topology.free)
+    return np.asarray(jax.vmap(lambda x: kinematics.expand(robot, x))(q[:, free]), float)
+
+
+def _beside(robot: Any, given: str, stamps: Any) -> Any:
+    import numpy as np
+
+    from jaxest import io
+
+    path, _, name = given.rpartition(":") if ":" in given and not Path(given).exists() else (given, "", "")
+    log = io.read(path)
+    joints = _stream(log, name or None)
+    rows = np.clip(np.searchsorted(joints.time, stamps), 0, len(joints.time) - 1)
+    return configurations(robot, log, joints, rows)
+
+
+def _covariance(robot: Any, log: Any, joints: Any, rows: Any) -> Any:
+    """The joints' covariance among the robot's velocities (T, nv, nv), 0 where nothing is known of it."""
+    import numpy as np
+
+    stream = log.streams.get("joints_covariance")
+    if stream is None or len(stream.value) != len(joints.value):
+        return None
+    at = [robot.topology.joint_v[robot.joint_names.index(name)] for name in joints.names]
+    whole = np.zeros((len(rows), robot.nv, robot.nv))
+    whole[:, np.array(at)[:, None], np.array(at)[None, :]] = np.nan_to_num(stream.value[rows])
+    return whole

@@ -1,0 +1,133 @@
+"""Moving pictures and Rerun recordings, written by the functions and by `jaxest show`."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from jaxest import kinematics, models
+from jaxest.cli.app import app
+from jaxest.io import SensorLog, Stream, write
+from jaxest.types import InputError
+from jaxest.viz import animation, recording
+
+Image = pytest.importorskip("PIL.Image")
+ARM = models.path("arm")
+NAMES = ("yaw", "shoulder", "elbow", "gripper")
+SIZE = (160, 120)
+
+
+def motion(n=6):
+    q = np.tile([0.0, 0.6, 0.8, -0.3], (n, 1))
+    q[:, 0] = np.linspace(-0.5, 0.5, n)
+    return q
+
+
+def rendered(*args, **options):
+    try:
+        return list(animation.frames(*args, **options))
+    except InputError as error:
+        if "MuJoCo cannot render here" in str(error):
+            pytest.skip(f"no way to render on this machine: {error}")
+        raise
+
+
+def test_a_robot_moves_and_a_second_one_is_seen_through_it():
+    q = motion(2)
+    alone = rendered(ARM, q, None, SIZE)
+    both = rendered(ARM, q, np.add(q, [0, 0.3, 0, 0]), SIZE)
+    assert alone[0].shape == (120, 160, 3)
+    assert np.mean(alone[0] != alone[1]) > 0.01
+    assert np.mean(alone[0] != both[0]) > 0.005
+    red = both[0].astype(int)
+    assert (red[..., 0] - red[..., 1]).max() > 40
+    assert alone[0][0, 0].min() > 200  # a bright sky
+
+
+def test_a_robot_without_shapes_is_drawn_as_sticks():
+    text = """<robot name="bare"><link name="a"/><link name="b"/><link name="c"/><joint name="j" type="continuous">
+    <parent link="a"/><child link="b"/><axis xyz="0 1 0"/></joint><joint name="k" type="continuous"><parent link="b"/>
+    <child link="c"/><origin xyz="0 0 .4"/><axis xyz="0 1 0"/></joint></robot>"""
+    (picture,) = rendered(text, np.zeros((1, 2)), None, SIZE)
+    assert np.ptp(picture.astype(int), axis=(0, 1)).max() > 40
+
+
+def test_files_are_written_once(tmp_path):
+    rendered(ARM, motion(1), None, SIZE)
+    path = tmp_path / "arm.gif"
+    animation.draw(path, ARM, motion(), size=SIZE)
+    with Image.open(path) as picture:
+        assert (picture.n_frames, picture.size) == (6, SIZE)
+    with pytest.raises(InputError, match="exists already"):
+        animation.draw(path, ARM, motion(), size=SIZE)
+    with pytest.raises(InputError, match=r"expected a name that ends in \.gif"):
+        animation.draw(tmp_path / "arm.mp4", ARM, motion())
+    with pytest.raises(InputError, match="3 coordinates, expected 4"):
+        animation.draw(tmp_path / "other.gif", ARM, motion()[:, :3])
+
+
+@pytest.fixture
+def estimated(tmp_path):
+    """An estimate's folder and a log with encoders."""
+    q, time = motion(), np.arange(6) / 10
+    covariance = np.tile(np.diag([1e-4, 1e-4, 1e-4, 1e-4]), (6, 1, 1))
+    (tmp_path / "out").mkdir()
+    joints = Stream(time, q, "rad", names=NAMES)
+    write(SensorLog({"joints": joints, "joints_covariance": Stream(time, covariance, "rad2", names=NAMES)}),
+          tmp_path / "out" / "estimate.npz")  # fmt: skip
+    write(SensorLog({"encoders": joints._replace(value=q + 0.1)}), tmp_path / "log.npz")
+    return tmp_path
+
+
+def show(folder, *words):
+    return CliRunner().invoke(app, ["show", str(folder / "out"), "--robot", str(ARM), *map(str, words)])
+
+
+def test_show_renders_an_estimate(estimated):
+    rendered(ARM, motion(1), None, SIZE)
+    result = show(estimated, "-o", estimated / "a.png", "--beside", f"{estimated / 'log.npz'}:encoders")
+    assert result.exit_code == 0, result.output
+    with Image.open(estimated / "a.png") as picture:
+        assert picture.size == (480, 360)
+
+
+@pytest.mark.parametrize(
+    ("words", "part"),
+    [
+        (("-o", "a.mp4"), "ends in .gif, .png or .rrd"),
+        (("-o", "a.gif", "--beside", "none.npz"), "no such file"),
+        (("-o", "a.rrd", "--frame", "site:tip"), "'site:tip' does not exist"),
+    ],
+)
+def test_what_cannot_be_shown_is_told(estimated, words, part, monkeypatch):
+    monkeypatch.chdir(estimated)
+    if words[1].endswith("rrd"):
+        pytest.importorskip("rerun")
+    result = show(estimated, *words)
+    assert result.exit_code == 2
+    assert part in result.output
+
+
+def test_a_recording_for_rerun(estimated):
+    pytest.importorskip("rerun")
+    robot = kinematics.load(ARM)
+    path = estimated / "arm.rrd"
+    assert show(estimated, "-o", path, "--frame", "site:end_effector").exit_code == 0
+    assert path.read_bytes()[:4] == b"RRF2"
+    full = estimated / "full.rrd"
+    cloud = np.random.default_rng(0).normal(size=(2000, 3))
+    recording.write(full, robot, np.arange(6) / 10, motion(), beside=motion(), points=cloud,
+                    particles=np.tile(motion()[:, None], (1, 500, 1)))  # fmt: skip
+    assert full.stat().st_size > 2000 * 12
+
+
+def test_ellipsoids_are_those_of_the_jacobian():
+    robot = kinematics.load(ARM)
+    q, covariance = motion(2), np.tile(np.diag([1e-4, 4e-4, 1e-4, 1e-4]), (2, 1, 1))
+    half, turned = recording._ellipsoids(robot, ("site:end_effector",), q, covariance)
+    rows = np.asarray(kinematics.jacobian(robot, q[0], "site:end_effector"))[3:]
+    w = turned[0, 0, [3, 0, 1, 2]]
+    from jaxest.manifolds import quaternion
+
+    axes = np.asarray(quaternion.to_matrix(w))
+    found = axes @ np.diag((half[0, 0] / recording.SIGMAS) ** 2) @ axes.T
+    np.testing.assert_allclose(found, rows @ covariance[0] @ rows.T, atol=1e-8)
