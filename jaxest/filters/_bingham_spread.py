@@ -4,20 +4,22 @@ import math
 
 import jax.numpy as jnp
 
-from jaxest.filters._small import written_out
+from jaxest.filters._small import transposed, written_out
 from jaxest.types import Array
 
 
 def spread_of(precision: Array, vectors: Array, q: Array, margin: Array) -> Array:
-    """Return the covariance (3, 3) from precisions (4,) of turns in the directions of unit quaternions (4, 4)."""
+    """Return the covariance (3, 3) from precisions (4,) of turns in the directions of unit quaternions (4, 4).
+
+    An axis behind is a batch.
+    """
     prior = 3 / math.pi**2  # nothing known is about half a turn
-    variance = 1 / (jnp.maximum(precision - margin, 0) + prior)
+    variance = 1 / (jnp.maximum(precision - margin[None], 0) + prior)
     w, x, y, z = q
-    zero = jnp.zeros_like(w)
     # Rows of the vector part of conj(q) v.
-    back = jnp.stack([-x, w, z, -y, -y, -z, w, x, -z, y, -x, w]).reshape(3, 4) + zero
+    back = jnp.stack([-x, w, z, -y, -y, -z, w, x, -z, y, -x, w]).reshape((3, 4, *w.shape))
     axes = written_out(back, vectors)
-    return written_out(axes * variance[None, :], axes.T)
+    return written_out(axes * variance[None, :], transposed(axes))
 
 
 def turning(second: Array, weight: Array) -> Array:

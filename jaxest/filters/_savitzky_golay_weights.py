@@ -25,6 +25,7 @@ def weights(time: Array, valid: Array, query: ArrayLike, *, degree: int) -> Weig
 
     Args:
         time: (W,) s, any origin, in any order; what stands where a sample is missing does not matter if it is finite.
+            Axes behind, in all three arguments, are batches.
         valid: (W,) bool.
         query: () s, same origin; clamped to the first and last valid time, nothing is extrapolated.
         degree: M, static. Where fewer than M + 1 samples (or distinct times) are there, the degree is lower.
@@ -39,39 +40,39 @@ def weights(time: Array, valid: Array, query: ArrayLike, *, degree: int) -> Weig
     """
     if degree < 0:
         raise ValueError(f"degree: got {degree}, expected 0 or more")
-    if time.ndim != 1 or valid.shape != time.shape:
+    if time.ndim < 1 or valid.shape != time.shape:
         raise ValueError(f"time, valid: got shapes {time.shape} and {valid.shape}, expected (W,) both")
     dtype = time.dtype
     there = valid.astype(dtype)
-    early = jnp.min(jnp.where(valid, time, jnp.inf))
-    late = jnp.max(jnp.where(valid, time, -jnp.inf))
+    early = jnp.min(jnp.where(valid, time, jnp.inf), axis=0)
+    late = jnp.max(jnp.where(valid, time, -jnp.inf), axis=0)
     some = early <= late
     asked = jnp.asarray(query, dtype)
     at = jnp.clip(asked, jnp.where(some, early, 0), jnp.where(some, late, 0))
     span = jnp.where(late > early, late - early, 1)
     span = jnp.where(some, span, 1)
-    x = jnp.where(valid, (time - at) / span, 0)
+    x = jnp.where(valid, (time - at[None]) / span[None], 0)
     value, slope = _expansion(x, there, degree)
     inside = (early <= asked) & (asked <= late)
-    return Weights(value, slope / span, jnp.sum(valid, dtype=jnp.int32), inside)
+    return Weights(value, slope / span[None], jnp.sum(valid, axis=0, dtype=jnp.int32), inside)
 
 
 def _expansion(x: Array, there: Array, degree: int) -> tuple[Array, Array]:
     """Weights of the value and the derivative at x = 0, summed over orthogonal polynomials."""
     least = (32 * float(jnp.finfo(x.dtype).eps)) ** 2
-    zero = jnp.zeros((), x.dtype)
+    zero = jnp.zeros(x.shape[1:], x.dtype)
     before, here = jnp.zeros_like(x), there
     value_before, value_here, slope_before, slope_here = zero, zero + 1, zero, zero
     value, slope, norm_before = jnp.zeros_like(x), jnp.zeros_like(x), zero + 1
     for k in range(degree + 1):
-        norm = jnp.sum(here * here)
+        norm = jnp.sum(here * here, axis=0)
         good = norm > least
         share = jnp.where(good, 1 / jnp.where(good, norm, 1), 0)
-        value = value + value_here * share * here
-        slope = slope + slope_here * share * here
-        a = jnp.sum(x * here * here) * share
+        value = value + (value_here * share)[None] * here
+        slope = slope + (slope_here * share)[None] * here
+        a = jnp.sum(x * here * here, axis=0) * share
         b = jnp.where(good & (k > 0), norm / norm_before, 0)
-        here, before = jnp.where(good, (x - a) * here - b * before, 0), here
+        here, before = jnp.where(good[None], (x - a[None]) * here - b[None] * before, 0), here
         slope_here, slope_before = slope_here * (-a) + value_here - b * slope_before, slope_here
         value_here, value_before = value_here * (-a) - b * value_before, value_here
         norm_before = jnp.where(good, norm, 1)
@@ -95,7 +96,7 @@ def averaging(time: Array, derivative: Array) -> Array:
         (W,) weights, which sum to 1 where the degree is at least 1.
     """
     step = time[1:] - time[:-1]
-    mass = -jnp.cumsum(derivative)[:-1] * step
+    mass = -jnp.cumsum(derivative, axis=0)[:-1] * step
     half = mass / 2
     nothing = jnp.zeros_like(mass[:1])
     plain = jnp.concatenate([half, nothing]) + jnp.concatenate([nothing, half])

@@ -1,11 +1,17 @@
-"""Small symmetric matrices without LAPACK: closed forms and scans that stay fast under vmap."""
+"""Small matrices without LAPACK: closed forms and scans that stay fast under vmap.
 
+All but `eigen4`'s derivative take, behind the axes that are named, one more for a batch: XLA on CPU makes straight
+vector code of a batch whose items lie side by side, and loops of three of one whose components do.
+"""
+
+from collections.abc import Callable
+from functools import reduce
+from operator import add
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from jaxest.manifolds._algebra import cross
 from jaxest.types import Array
 
 SWEEPS = 5  # of Jacobi: each squares what is off the diagonal, once it is small
@@ -18,18 +24,61 @@ def finite(tree: Any) -> Array:
 
 
 def product(a: Array, b: Array) -> Array:
-    """Return `a @ b` in full precision: a real matrix product, which XLA does not compute again in every fusion."""
-    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
+    """Return `a @ b` in full precision.
+
+    Of single matrices by a real matrix product, which XLA does not compute again in every fusion; of a batch that lies
+    behind written out, which only pays between `held` pieces of a program.
+    """
+    if a.ndim == 2 and b.ndim == 2:
+        return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
+    return written_out(a, b)
 
 
 def written_out(a: Array, b: Array) -> Array:
     """Return `a @ b` as sums that fuse with what is around them: faster where little else needs the result."""
-    return jnp.sum(a[:, :, None] * b[None, :, :], axis=1)
+    return reduce(add, (a[:, k, None] * b[None, k] for k in range(a.shape[1])))
+
+
+def applied(a: Array, x: Array) -> Array:
+    """Return `a @ x` for a vector."""
+    return reduce(add, (a[:, k] * x[None, k] for k in range(a.shape[1])))
+
+
+def turned_back(a: Array, x: Array) -> Array:
+    """Return `a.T @ x` for a vector."""
+    return reduce(add, (a[k] * x[None, k] for k in range(a.shape[0])))
+
+
+def transposed(a: Array) -> Array:
+    """Return the transpose of a matrix."""
+    return jnp.swapaxes(a, 0, 1)
 
 
 def sandwich(a: Array, p: Array) -> Array:
     """Return `a p a'`."""
-    return product(product(a, p), a.T)
+    return product(product(a, p), transposed(a))
+
+
+def eye(n: int, like: Array) -> Array:
+    """Return the identity (n, n), with an axis of 1 for every axis that the scalar `like` has."""
+    return jnp.eye(n, dtype=like.dtype).reshape((n, n) + (1,) * like.ndim)
+
+
+def held(go: Array | None, piece: Callable[..., Any], *args: Any) -> Any:
+    """Call a piece of a program so that XLA computes its results once and not in everything that uses them.
+
+    Args:
+        go: () bool that is true, which the compiler must not know; None to call the piece as it is.
+        piece: of arrays to a pytree of arrays.
+        args: its arguments.
+
+    Returns:
+        What it returns.
+    """
+    if go is None:
+        return piece(*args)
+    shapes = jax.eval_shape(piece, *args)
+    return jax.lax.cond(go, piece, lambda *_: jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes), *args)
 
 
 def outer(a: Array, b: Array) -> Array:
@@ -50,12 +99,14 @@ def inverse3(a: Array) -> Array:
     diagonal = jnp.stack([a[0, 0], a[1, 1], a[2, 2]])
     some = diagonal > 0
     scale = jnp.where(some, 1 / jnp.sqrt(jnp.where(some, diagonal, 1)), 0)
-    x, y, z = a * scale[:, None] * scale[None, :]
-    rows = jnp.stack([cross(y, z), cross(z, x), cross(x, y)])
-    det = jnp.sum(x * rows[0])
+    both = outer(scale, scale)
+    m = a * both
+    (p, q, r), (s, t), u = m[0], m[1, 1:], m[2, 2]
+    x, y, z = s * u - t * t, r * t - q * u, q * t - r * s
+    det = p * x + q * y + r * z
     there = det > 4 * float(jnp.finfo(a.dtype).eps)
-    found = jnp.where(there, rows / jnp.where(there, det, 1), 0)
-    return (found + found.T) / 2 * scale[:, None] * scale[None, :]
+    found = jnp.stack([x, y, z, y, p * u - r * r, q * r - p * t, z, q * r - p * t, p * s - q * q]).reshape(a.shape)
+    return found * (jnp.where(there, 1 / jnp.where(there, det, 1), 0)[None, None] * both)
 
 
 @jax.custom_jvp
@@ -67,27 +118,24 @@ def eigen4(a: Array) -> tuple[Array, Array]:
 
     Source: Golub and Van Loan 2013 (Matrix Computations), section 8.5.
     """
-    scale = jnp.max(jnp.abs(a))
-    scaled = a / jnp.where(scale > 0, scale, 1)
-    values, vectors = _jacobi(scaled)
-    return values * scale, vectors
+    scale = jnp.max(jnp.abs(a), axis=(0, 1))
+    scaled = a / jnp.where(scale > 0, scale, 1)[None, None]
+    values, vectors = _jacobi(scaled) if a.ndim == 2 else _jacobi_scalars(scaled)
+    return values * scale[None], vectors
 
 
 @jax.custom_batching.custom_vmap
 def _jacobi(a: Array) -> tuple[Array, Array]:
-    """Eigenvalues and vectors of one matrix; it is carried whole, for a kernel costs as much as many numbers do."""
-    zero = jnp.zeros((), a.dtype)
+    """Eigenvalues and vectors of one matrix; carried in one array, for each costs as much as many numbers do."""
+    upper = [a[0], a[1, 1:], a[2, 2:], a[3, 3:]]
 
-    def body(carry: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
-        a, vectors = carry
-        c, s, _tangent = _rotation(*(jnp.stack([a[i, j], a[i + 2, j + 2]]) for i, j in ((0, 0), (1, 1), (0, 1))))
-        turn = jnp.stack(
-            [c[0], zero, s[0], zero, -s[0], zero, c[0], zero, zero, s[1], zero, c[1], zero, c[1], zero, -s[1]]
-        ).reshape(4, 4)
-        return (product(turn.T, product(a, turn)), product(vectors, turn)), None
+    def body(x: Array, _: None) -> tuple[Array, None]:
+        (upper, vectors), _none = _turn((tuple(x[:10]), tuple(x[10:])), None)
+        return jnp.stack([*upper, *vectors]), None
 
-    last, vectors = jax.lax.scan(body, (a, jnp.eye(4, dtype=a.dtype)), None, length=3 * SWEEPS)[0]
-    return jnp.diagonal(last), vectors
+    start = jnp.concatenate([*upper, jnp.eye(4, dtype=a.dtype).reshape(-1)])
+    last = jax.lax.scan(body, start, None, length=3 * SWEEPS)[0]
+    return jnp.stack([last[0], last[4], last[7], last[9]]), last[10:].reshape(4, 4)
 
 
 @_jacobi.def_vmap
@@ -100,7 +148,8 @@ def _jacobi_scalars(a: Array) -> tuple[Array, Array]:
     upper = tuple(a[i, j] for i in range(4) for j in range(i, 4))
     eye = tuple(jnp.eye(4, dtype=a.dtype)[i, j] + 0 * a[0, 0] for i in range(4) for j in range(4))
     (upper, vectors), _ = jax.lax.scan(_sweep, (upper, eye), None, length=SWEEPS)
-    return jnp.stack([upper[0], upper[4], upper[7], upper[9]]), jnp.stack(vectors).reshape(4, 4)
+    found: Array = jnp.stack(vectors).reshape((4, 4, *a.shape[2:]))
+    return jnp.stack([upper[0], upper[4], upper[7], upper[9]]), found
 
 
 def _sweep(carry: Any, _: None) -> tuple[Any, None]:
@@ -153,9 +202,14 @@ def _(primals: tuple[Array], tangents: tuple[Array]) -> Any:
 
 def largest(values: Array, vectors: Array) -> Array:
     """Return the eigenvector (4,) of the largest eigenvalue, w >= 0."""
-    first = jnp.argmax(values)
-    found = jnp.sum(jnp.where(jnp.arange(4)[None, :] == first, vectors, 0), axis=1)
-    return jnp.where(found[0] < 0, -found, found)
+    best, found = values[0], vectors[:, 0]
+    for k in range(1, 4):
+        more = values[k] > best
+        best, found = jnp.where(more, values[k], best), jnp.where(more[None], vectors[:, k], found)
+    return jnp.where(found[None, 0] < 0, -found, found)
 
 
-__all__ = ["eigen4", "inverse3", "largest", "outer", "product", "sandwich", "trace", "written_out"]
+__all__ = [
+    "applied", "eigen4", "eye", "held", "inverse3", "largest", "outer", "product", "sandwich", "trace", "transposed",
+    "turned_back", "written_out",
+]  # fmt: skip

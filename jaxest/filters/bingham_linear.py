@@ -15,7 +15,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.filters._bingham_spread import spread_of, turning
-from jaxest.filters._small import eigen4, inverse3, largest, outer, product, sandwich
+from jaxest.filters._small import (
+    applied,
+    eigen4,
+    eye,
+    inverse3,
+    largest,
+    outer,
+    product,
+    sandwich,
+    trace,
+    transposed,
+)
 from jaxest.filters.bingham_pairs import Information, general, isotropic, noise_matrix, pair_matrix, parameter
 from jaxest.manifolds import quaternion as quat
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
@@ -108,7 +119,7 @@ def add(state: State, z: Array, weight: Array, forgetting: Array) -> State:
     """Take in one pair.
 
     Args:
-        state: the moments.
+        state: the moments; axes behind, here and in z and weight, are batches.
         z: (6,) a and b, finite.
         weight: () how much it counts; with 0 nothing changes, nothing is forgotten.
         forgetting: () factor on the past.
@@ -122,26 +133,27 @@ def add(state: State, z: Array, weight: Array, forgetting: Array) -> State:
     total = past + weight
     share = weight / jnp.where(total > 0, total, 1)
     away = z - state.mean
-    kept = jnp.where(weight > 0, forgetting, 1) * state.scatter
-    scatter = kept + (past * share) * outer(away, away)
-    return State(total, state.mean + share * away, scatter, state.index + 1)
+    kept = jnp.where(weight > 0, forgetting, 1)[None, None] * state.scatter
+    scatter = kept + (past * share)[None, None] * outer(away, away)
+    return State(total, state.mean + share[None] * away, scatter, state.index + 1)
 
 
 def moments(params: Params, state: State) -> Array:
     """Return the second moments (6, 6) with the relative bias integrated out under its prior."""
     dtype = state.mean.dtype
-    noise = (jnp.trace(jnp.asarray(params.covariance_a)) + jnp.trace(jnp.asarray(params.covariance_b))).astype(
-        dtype
-    ) / 3
+    noise = trace(jnp.asarray(params.covariance_a) + jnp.asarray(params.covariance_b)).astype(dtype) / 3
     prior = jnp.asarray(params.bias, dtype) ** 2
     # n pairs against a prior of n0 pairs: the mean counts n n0 / (n + n0), which tends to n where no bias is allowed.
     some = noise + prior * state.weight
     share = state.weight * noise / jnp.where(some > 0, some, 1)
-    return state.scatter + share * outer(state.mean, state.mean)
+    return state.scatter + share[None, None] * outer(state.mean, state.mean)
 
 
 def estimate(params: Params, state: State, *, information: Information | None = None) -> Estimate:
     """Read the rotation, its covariance and the relative bias from the moments.
+
+    `density`, its eigenvectors, `spread` and `rest` in turn; without `information` an axis behind the moments' is a
+    batch.
 
     The covariance is that of the likelihood of a - R b, not the Bingham's own, which is overconfident by about 4/3
     where Sigma_q = I/4 stands in for the unknown rotation.
@@ -155,47 +167,64 @@ def estimate(params: Params, state: State, *, information: Information | None = 
     Returns:
         The estimate; no rotation and a covariance of half a turn squared while there are fewer than three pairs.
     """
+    second, a = density(params, state, information=information)
+    values, vectors = eigen4(a)
+    q = largest(values, vectors)
+    covariance = spread(params, state, second, values, vectors, q, information=information)
+    bias, residual = rest(params, state, second, quat.to_matrix(q))
+    return Estimate(q, covariance, bias, residual, a)
+
+
+def density(params: Params, state: State, *, information: Information | None = None) -> tuple[Array, Array]:
+    """Return the second moments and A of the Bingham density, of no rotation while there are too few pairs."""
     dtype = state.mean.dtype
     noise_a, noise_b = (jnp.asarray(x, dtype) for x in params[:2])
     second = moments(params, state)
-    total = jnp.trace(noise_a) + jnp.trace(noise_b)
-    a = parameter(second, None if information is None else information(noise_a, noise_b), total)
+    a = parameter(second, None if information is None else information(noise_a, noise_b), trace(noise_a + noise_b))
+    first = np.diag([1.0, 0.0, 0.0, 0.0]).reshape((4, 4) + (1,) * state.weight.ndim)
+    return second, jnp.where((state.weight > LEAST)[None, None], a, jnp.asarray(first, dtype))
+
+
+def spread(
+    params: Params, state: State, second: Array, values: Array, vectors: Array, q: Array, *,
+    information: Information | None = None,
+) -> Array:  # fmt: skip
+    """Return the covariance (3, 3) of the mode `q`, from the eigenvalues and vectors of `density`."""
+    dtype = state.mean.dtype
+    noise_a, noise_b = (jnp.asarray(x, dtype) for x in params[:2])
     some = state.weight > LEAST
-    values, vectors = eigen4(jnp.where(some, a, jnp.diag(jnp.asarray([1.0, 0.0, 0.0, 0.0], dtype))))
-    q = largest(values, vectors)
-    r = quat.to_matrix(q)
-    noise = noise_a + sandwich(r, noise_b)
+    total = trace(noise_a + noise_b)
     # What the product of the readings' noise may pretend, to two standard deviations, is no information.
     margin = (
-        12
-        * jnp.sqrt(jnp.where(some, state.weight, 1) * jnp.trace(noise_a) * jnp.trace(noise_b))
+        12 * jnp.sqrt(jnp.where(some, state.weight, 1) * trace(noise_a) * trace(noise_b))
         / jnp.where(total > 0, 3 * total, 1)
-    )
+    )  # fmt: skip
     if information is None:
-        gap = jnp.where(some, jnp.max(values) - values, 0)
-        covariance = spread_of(gap * 3 / 8, vectors, q, margin)
-    else:
-        # The product of two independent readings has no noise of its own on average, unlike the square of one.
-        clean = product(r.T, second[:3, 3:])
-        precision = turning((clean + clean.T) / 2, sandwich(r.T, inverse3(noise)))
-        wide = jnp.zeros((4, 4), dtype).at[1:, 1:].set(jnp.where(some, precision, 0))
-        covariance = spread_of(*eigen4(wide), jnp.eye(4, dtype=dtype)[0], margin)
-    return _rest(params, state, second, Estimate(q, covariance, noise[0], noise, a))
+        gap = jnp.where(some[None], jnp.max(values, axis=0)[None] - values, 0)
+        return spread_of(gap * 3 / 8, vectors, q, margin)
+    # The product of two independent readings has no noise of its own on average, unlike the square of one.
+    r = quat.to_matrix(q)
+    clean = product(r.T, second[:3, 3:])
+    noise = noise_a + sandwich(r, noise_b)
+    precision = turning((clean + clean.T) / 2, sandwich(r.T, inverse3(noise)))
+    wide = jnp.zeros((4, 4), dtype).at[1:, 1:].set(jnp.where(some, precision, 0))
+    return spread_of(*eigen4(wide), jnp.eye(4, dtype=dtype)[0], margin)
 
 
-def _rest(params: Params, state: State, second: Array, found: Estimate) -> Estimate:
-    """Fill in the relative bias and the residuals' covariance; `found.residual` holds the noise of a - R b."""
-    r = quat.to_matrix(found.quaternion)
-    centre = state.mean[:3] - jnp.sum(r * state.mean[None, 3:], axis=1)
+def rest(params: Params, state: State, second: Array, r: Array) -> tuple[Array, Array]:
+    """Return the relative bias (3,) and the residuals' covariance (3, 3) for the rotation matrix `r`."""
+    level = trace(jnp.asarray(params.covariance_a) + jnp.asarray(params.covariance_b)).astype(second.dtype) / 3
+    centre = state.mean[:3] - applied(r, state.mean[3:])
     variance = jnp.asarray(params.bias, second.dtype) ** 2 * state.weight
-    bias = centre * variance / jnp.where(variance > 0, variance + jnp.trace(found.residual) / 3, 1)
-    crossed = product(second[:3, 3:], r.T)
-    spread = second[:3, :3] - crossed - crossed.T + sandwich(r, second[3:, 3:])
+    bias = centre * (variance / jnp.where(variance > 0, variance + level, 1))[None]
+    crossed = product(second[:3, 3:], transposed(r))
+    left = second[:3, :3] - crossed - transposed(crossed) + sandwich(r, second[3:, 3:])
     free = jnp.where(state.weight > 2, state.weight - 2, 1)  # six numbers are fitted to three equations a pair
     # What differences of long sums lose to rounding must not look like sensors without noise.
-    lost = 16 * float(jnp.finfo(second.dtype).eps) * jnp.trace(second)
-    spread = jnp.where(jnp.trace(spread) > 3 * lost, (spread + spread.T) / 2, lost * jnp.eye(3, dtype=second.dtype))
-    return found._replace(bias=bias, residual=spread / free)
+    lost = 16 * float(jnp.finfo(second.dtype).eps) * (trace(second) + trace(second[3:, 3:]))
+    real = (trace(left) > 3 * lost)[None, None]
+    left = jnp.where(real, (left + transposed(left)) / 2, lost[None, None] * eye(3, lost))
+    return bias, left / free[None, None]
 
 
 def step(
@@ -284,6 +313,7 @@ __all__ = [
     "Params",
     "State",
     "add",
+    "density",
     "estimate",
     "general",
     "init",
@@ -292,6 +322,8 @@ __all__ = [
     "noise_matrix",
     "pair_matrix",
     "parameter",
+    "rest",
+    "spread",
     "step",
     "usable",
 ]

@@ -9,6 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest.filters._small import eye, trace, transposed
 from jaxest.manifolds.base import as_array
 from jaxest.types import Array, ArrayLike
 
@@ -84,7 +85,7 @@ def parameter(second: Array, information: Array | None = None, total: ArrayLike 
     """Return A (4, 4) of the Bingham density, less the multiple of the identity that makes it traceless.
 
     Args:
-        second: (6, 6) sum of z z' over the pairs z = (a, b).
+        second: (6, 6) sum of z z' over the pairs z = (a, b); an axis behind is a batch, in the closed form.
         information: (4, 4) inverse of Sigma_H.
         total: () in place of `information`: trace of both covariances, for the closed form -(2 / total) H'H.
 
@@ -95,13 +96,13 @@ def parameter(second: Array, information: Array | None = None, total: ArrayLike 
     """
     if information is None:
         b = second[:3, 3:]
-        trace = b[0, 0] + b[1, 1] + b[2, 2]
+        size = trace(b)
         side = jnp.stack([b[2, 1] - b[1, 2], b[0, 2] - b[2, 0], b[1, 0] - b[0, 1]])
-        lower = b + b.T - trace * jnp.eye(3, dtype=b.dtype)
+        lower = b + transposed(b) - size[None, None] * eye(3, size)
         davenport = jnp.concatenate(
-            [jnp.concatenate([trace[None], side])[None], jnp.concatenate([side[:, None], lower], axis=1)]
+            [jnp.concatenate([size[None], side])[None], jnp.concatenate([side[:, None], lower], axis=1)]
         )
-        return davenport * (4 / jnp.asarray(1.0 if total is None else total, b.dtype))
+        return davenport * (4 / jnp.asarray(1.0 if total is None else total, b.dtype))[None, None]
     basis = _basis(second.dtype)
     a = -jnp.einsum("mn,mki,kl,nlj->ij", second, basis, information, basis) / 2
     a = (a + a.T) / 2

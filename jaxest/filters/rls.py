@@ -13,10 +13,22 @@ Source: Sato 2024, eqs. 16 to 20 and Algorithm 1, with the forgetting on the old
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from jaxest.filters._rls_root import Triangle, square_root_step
-from jaxest.filters._small import eigen4, inverse3, outer, product
+from jaxest.filters._small import (
+    applied,
+    eigen4,
+    eye,
+    inverse3,
+    outer,
+    product,
+    sandwich,
+    trace,
+    transposed,
+    turned_back,
+)
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
 
 
@@ -129,12 +141,12 @@ def patient(noise: Array, full: Array) -> tuple[Array, Array]:
     Returns:
         The weight (3, 3), and whether it is to be rescaled later.
     """
-    return jnp.where(full, inverse3(noise), jnp.eye(3, dtype=noise.dtype)), ~full
+    return jnp.where(full[None, None], inverse3(noise), eye(3, noise[0, 0])), ~full
 
 
 def unweighted(noise: Array, full: Array) -> tuple[Array, Array]:
     """Weigh all alike for ever; the covariance is still that of the residuals. Arguments as for `patient`."""
-    return jnp.eye(3, dtype=noise.dtype), jnp.ones_like(full)
+    return eye(3, noise[0, 0]), jnp.ones_like(full)
 
 
 def pseudo_inverse(noise: Array, full: Array) -> tuple[Array, Array]:
@@ -176,11 +188,45 @@ def step(
     """
     if block < 1:
         raise ValueError(f"block: got {block}, expected at least 1")
+    o, y, noisy, there, status = usable(measurement, state.projection.dtype)
+    state, known = advance(params, state, (o, y, noisy, there), block=block, start=start)
+    found = solved(params, state, known.variance)
+    return state._replace(estimate=found[0]), read(state, found, known, status, block=block)
+
+
+class Residuals(NamedTuple):
+    """What the newest residuals say."""
+
+    newest: Array
+    """(3,) y - O x with the estimate before; 0 where there is nothing."""
+    noise: Array
+    """(3, 3) covariance over N_lag."""
+    variance: Array
+    """() mean variance over N_lag."""
+
+
+def advance(
+    params: Params, state: State, observed: tuple[Array, Array, Array, Array], *, block: int, start: Start,
+    go: Array | None = None,
+) -> tuple[State, Residuals]:  # fmt: skip
+    """Take in one observation without reading the estimate.
+
+    Args:
+        params: as for `step`.
+        state: as for `step`; residuals are of its `estimate`. Axes behind are batches, here and in `observed`.
+        observed: O (3, 3), y (3,), noise term (3, 3) and whether they are there (), zeros where not; as from `usable`.
+        block: as for `step`.
+        start: as for `step`.
+        go: as `_small.held` has it, for a batch behind.
+
+    Returns:
+        The next state, its estimate still the former, and the residuals.
+    """
+    o, y, noisy, there = observed
     dtype = state.projection.dtype
-    o, y, noisy, there, status = usable(measurement, dtype)
-    gamma, prior, floor = (jnp.asarray(x, dtype) for x in params)
-    residual = jnp.where(there, y - jnp.sum(o * state.estimate[None, :], axis=1), 0)
-    queue = jnp.where(there, jnp.concatenate([state.queue[1:], residual[None]]), state.queue)
+    gamma, floor = (jnp.asarray(x, dtype) for x in (params.forgetting, params.floor))
+    residual = jnp.where(there[None], y - applied(o, state.estimate), 0)
+    queue = jnp.where(there[None, None], jnp.concatenate([state.queue[1:], residual[None]]), state.queue)
     seen = state.seen + there.astype(jnp.int32)
     noise, unit = _noise(queue, seen, floor), _unit(queue, seen, floor)
     weight, pending = start(noise, seen >= queue.shape[0])
@@ -188,62 +234,72 @@ def step(
     ratio = jnp.where(state.pending & ~pending, 1 / unit, 1)
     # What is added is zero where nothing came: the regressor and the target are.
     weighted = product(weight, o)
-    gain = product(o.T, weighted) - jnp.where(there, jnp.trace(weight) / 3, 0) * noisy
-    moved = jnp.sum(weighted * y[:, None], axis=0)
+    gain = product(transposed(o), weighted) - jnp.where(there, trace(weight) / 3, 0)[None, None] * noisy
+    moved = turned_back(weighted, y)
     kept = jnp.where(there, gamma, 1) * ratio
-    part = ratio * state.block + jnp.concatenate([moved, gain[0], gain[1, 1:], gain[2, 2:]])
+    part = ratio[None] * state.block + jnp.concatenate([moved, gain[0], gain[1, 1:], gain[2, 2:]])
     whole = there & (seen % block == 0)
-    blocks = kept * kept * state.blocks + jnp.where(whole, outer(part, part), 0)
+
+    def add(blocks: Array) -> Array:
+        return (kept * kept)[None, None] * blocks + jnp.where(whole[None, None], outer(part, part), 0)
+
+    # Most steps end no block of a batch's.
+    some = None if go is None else jnp.any(whole | (kept != 1))
+    blocks = add(state.blocks) if some is None else jax.lax.cond(some, add, lambda x: x, state.blocks)
     state = State(
-        kept * state.information + gain, kept * state.projection + moved, state.estimate, queue,
-        jnp.where(whole, 0, part), blocks, pending, seen, state.index + 1,
+        kept[None, None] * state.information + gain, kept[None] * state.projection + moved, state.estimate, queue,
+        jnp.where(whole[None], 0, part), blocks, pending, seen, state.index + 1,
     )  # fmt: skip
-    info = _read(state, prior, unit, residual, noise, status, block)
-    return state._replace(estimate=info.estimate), info
+    return state, Residuals(residual, noise, unit)
 
 
 def _noise(queue: Array, seen: Array, floor: Array) -> Array:
     """Covariance of the residuals in the queue; zeros that pad it at the start do not count."""
-    count = jnp.clip(seen, 2, queue.shape[0]).astype(queue.dtype)
-    squares = jnp.sum(queue[:, :, None] * queue[:, None, :], axis=0) / (count - 1)
-    return squares + floor * floor * jnp.eye(3, dtype=queue.dtype)
+    count = jnp.clip(seen, 2, queue.shape[0]).astype(queue.dtype) - 1
+    squares = jnp.sum(queue[:, :, None] * queue[:, None, :], axis=0) / count[None, None]
+    return squares + (floor * floor)[None, None] * eye(3, squares[0, 0])
 
 
 def _unit(queue: Array, seen: Array, floor: Array) -> Array:
     """Mean variance of the residuals in the queue."""
     count = jnp.clip(seen, 2, queue.shape[0]).astype(queue.dtype)
-    return jnp.sum(queue * queue) / (3 * (count - 1)) + floor * floor
+    return jnp.sum(queue * queue, axis=(0, 1)) / (3 * (count - 1)) + floor * floor
 
 
-def _inverse(state: State, prior: Array, unit: Array) -> Array:
-    """P, with the prior; 0 where something is not determined."""
-    extra = jnp.where(prior > 0, 1 / jnp.where(prior > 0, prior, 1) ** 2, 0)
-    information = state.information * jnp.where(state.pending, 1 / unit, 1)
-    found = inverse3((information + information.T) / 2 + extra * jnp.eye(3, dtype=prior.dtype))
-    return found * jnp.where(state.pending, 1 / unit, 1)
+def solved(params: Params, state: State, unit: Array) -> tuple[Array, Array]:
+    """Return the estimate (3,) and P (3, 3) with the prior, 0 where something is not determined.
+
+    P wants to be multiplied by the residuals' variance `unit` () while that is pending. Axes behind are batches.
+    """
+    prior = jnp.asarray(params.prior, state.projection.dtype)
+    extra = jnp.where(prior > 0, 1 / jnp.where(prior > 0, prior, 1) ** 2, 0)[None, None]
+    one = eye(3, state.projection[0])
+    ratio = jnp.where(state.pending, 1 / unit, 1)[None, None]
+    information = state.information * ratio
+    found = inverse3((information + transposed(information)) / 2 + extra * one) * ratio
+    return applied(found, state.projection), found
 
 
-def _read(
-    state: State, prior: Array, unit: Array, residual: Array, noise: Array, status: Array, block: int
-) -> Info:  # fmt: skip
-    scaled = _inverse(state, prior, unit)
-    estimate = jnp.sum(scaled * state.projection[None, :], axis=1)
-    formal = scaled * jnp.where(state.pending, unit, 1)
+def read(state: State, found: tuple[Array, Array], residuals: Residuals, status: Array, *, block: int) -> Info:
+    """Return the info of what `solved` found; axes behind are batches."""
+    (estimate, scaled), (residual, noise, unit) = found, residuals
+    formal = scaled * jnp.where(state.pending, unit, 1)[None, None]
     # A block's score at the newest estimate is Q_b - P_b^-1 x.
-    reading = jnp.concatenate([jnp.eye(3, dtype=noise.dtype), -_rows(estimate)], axis=1)
-    meat = product(product(reading, state.blocks), reading.T)
+    reading = jnp.concatenate([eye(3, unit) + jnp.zeros_like(scaled), -_rows(estimate)], axis=1)
+    meat = sandwich(reading, state.blocks)
     count = state.seen // block
-    scale = (count / jnp.maximum(count - 1, 1)).astype(noise.dtype)
-    covariance = product(product(scaled, meat * scale), scaled)
-    covariance = jnp.where(count >= 8, (covariance + covariance.T) / 2, formal)
-    return Info(estimate, covariance, formal, residual, noise, unit, jnp.trace(formal) > 0, status)
+    scale = (count / jnp.maximum(count - 1, 1)).astype(unit.dtype)[None, None]
+    covariance = sandwich(scaled, meat * scale)  # P is symmetric
+    covariance = jnp.where((count >= 8)[None, None], (covariance + transposed(covariance)) / 2, formal)
+    return Info(estimate, covariance, formal, residual, noise, unit, trace(formal) > 0, status)
 
 
 def _rows(x: Array) -> Array:
     """Matrix (3, 6) that takes the upper triangle of a symmetric (3, 3), row by row, to its product with x."""
     a, b, c = x
     zero = jnp.zeros_like(a)
-    return jnp.stack([a, b, c, zero, zero, zero, zero, a, zero, b, c, zero, zero, zero, a, zero, b, c]).reshape(3, 6)
+    entries = [a, b, c, zero, zero, zero, zero, a, zero, b, c, zero, zero, zero, a, zero, b, c]
+    return jnp.stack(entries).reshape((3, 6, *a.shape))
 
 
 def usable(measurement: Observation, dtype: Any) -> tuple[Array, Array, Array, Array, Array]:
@@ -273,12 +329,16 @@ __all__ = [
     "Info",
     "Observation",
     "Params",
+    "Residuals",
     "Start",
     "State",
     "Triangle",
+    "advance",
     "init",
     "patient",
     "pseudo_inverse",
+    "read",
+    "solved",
     "square_root_step",
     "step",
     "unweighted",

@@ -95,7 +95,7 @@ def push(state: State, value: Array, valid: Array, dt: Array) -> State:
     """Let a step come and the oldest go.
 
     Args:
-        state: the window.
+        state: the window; axes behind, in all arguments, are batches.
         value: (C,) finite.
         valid: () bool.
         dt: () s, since the previous step.
@@ -103,9 +103,9 @@ def push(state: State, value: Array, valid: Array, dt: Array) -> State:
     Returns:
         The next window.
     """
-    age, elapsed = state.age + dt, state.elapsed + dt
-    fresh = jnp.where(valid, 0, jnp.where(jnp.any(state.valid), age[-1], 0))
-    kept = jnp.where(valid, value, state.value[-1])
+    age, elapsed = state.age + dt[None], state.elapsed + dt[None]
+    fresh = jnp.where(valid, 0, jnp.where(jnp.any(state.valid, axis=0), age[-1], 0))
+    kept = jnp.where(valid[None], value, state.value[-1])
     return State(
         jnp.concatenate([age[1:], fresh[None]]),
         jnp.concatenate([state.value[1:], kept[None]]),

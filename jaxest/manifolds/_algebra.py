@@ -23,10 +23,11 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def skew(v: Array) -> Array:
-    """Return the matrix (3, 3) with `skew(v) @ p == cross(v, p)`."""
+    """Return the matrix (3, 3) with `skew(v) @ p == cross(v, p)`; axes behind those of `v` (3,) are batches."""
     x, y, z = v
     zero = jnp.zeros_like(x)
-    return jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
+    found: Array = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape((3, 3, *x.shape))
+    return found
 
 
 def matvec(a: Array, v: Array) -> Array:

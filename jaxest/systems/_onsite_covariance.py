@@ -4,9 +4,11 @@ import math
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
 from jaxest.filters import bingham_linear, rls
-from jaxest.filters._small import inverse3, outer, product, sandwich, trace
+from jaxest.filters._small import applied, eye, inverse3, outer, product, sandwich, trace, transposed
+from jaxest.manifolds._algebra import skew
 from jaxest.systems._onsite_state import Memory, Params
 from jaxest.types import Array
 
@@ -33,20 +35,24 @@ def askew(params: Params, turn: bingham_linear.State) -> Array:
     the link turns about two axes, p and q of S about them, what is left about the third is (p^2 + q^2) / (p + q)^2 of
     an entry's variance, a half to one: `little` only keeps the quotient from 0 / 0, and makes it one there.
     """
-    s = turn.scatter[3:, 3:]
-    s = s / jnp.where(turn.weight > 0, turn.weight, 1)
-    eye = jnp.eye(3, dtype=s.dtype)
+    s = _rates(turn)
     size = trace(s)
-    square, moved = product(s, s), size * eye - s
+    one = eye(3, size)
+    square, moved = product(s, s), size[None, None] * one - s
     little = 3e-3 * size
-    back = inverse3(moved + little * eye)
-    spread = (trace(square) + little * little) * eye - square + 2 * little * moved
+    back = inverse3(moved + little[None, None] * one)
+    spread = (trace(square) + little * little)[None, None] * one - square + (2 * little)[None, None] * moved
     entry = 2 * jnp.asarray(params.gyroscope_axes, s.dtype) ** 2  # of the difference of two
-    return entry * sandwich(back, spread)
+    return entry[None, None] * sandwich(back, spread)
+
+
+def _rates(turn: bingham_linear.State) -> Array:
+    """Covariance (3, 3) of P's rates up to now."""
+    return turn.scatter[3:, 3:] / jnp.where(turn.weight > 0, turn.weight, 1)[None, None]
 
 
 def whole(params: Params, turned: Turned, place: rls.Info, memory: Memory, noisy: Array) -> tuple[Array, Array]:
-    """Return whether the pose is known to 5 mm and 0.1 deg, and its covariance.
+    """Return whether the pose is known to 5 mm and 0.1 deg, and its covariance; axes behind are batches.
 
     Args:
         params: the system's.
@@ -58,25 +64,22 @@ def whole(params: Params, turned: Turned, place: rls.Info, memory: Memory, noisy
     Returns:
         () bool, and (6, 6) of rotation vector (in P, on the right) and position: rad, m.
     """
-    inverse = place.formal / place.variance  # of the sum of O'O, less what noise adds to it
-    lever = memory.lever.reshape(3, 3, 4)
+    inverse = place.formal / place.variance[None, None]  # of the sum of O'O, less what noise adds to it
     # Sum of O'[R f_P x]; a turn d of P on the right moves R f_P by -[R f_P x] R d.
-    force = [lever[:, k, :] for k in range(3)]
+    force = [memory.lever[:, 4 * k : 4 * k + 4] for k in range(3)]
     crossed = jnp.stack(
         [force[1][:, 2] - force[2][:, 1], force[2][:, 0] - force[0][:, 2], force[0][:, 1] - force[1][:, 0]], axis=1
     )
     # It turns half of the regressor, too: by D = [R d x] / 2 in the words of `_stretched`.
-    x, y, z = product(_spread(memory), place.estimate[:, None])[:, 0] / 2
-    zero = jnp.zeros_like(x)
-    half = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
+    half = skew(applied(_spread(memory), place.estimate) / 2)
     moved = -product(inverse, product(crossed + half, turned.matrix))
     turning = turned.noise + turned.askew
     # Each step used the rotation of its time, whose error then was larger: twice the variance of the last.
     placing = _placed(place, memory, noisy) + sandwich(moved, turning + turned.noise)
     placing = placing + _stretched(params, place, memory, inverse)
-    cross = product(turning, moved.T)
+    cross = product(turning, transposed(moved))
     covariance = jnp.concatenate(
-        [jnp.concatenate([turning, cross], axis=1), jnp.concatenate([cross.T, placing], axis=1)]
+        [jnp.concatenate([turning, cross], axis=1), jnp.concatenate([transposed(cross), placing], axis=1)]
     )  # fmt: skip
     near = (4 * trace(placing) < NEAR[0] ** 2) & (4 * trace(turning) < NEAR[1] ** 2)
     return near, covariance
@@ -85,7 +88,8 @@ def whole(params: Params, turned: Turned, place: rls.Info, memory: Memory, noisy
 def _spread(memory: Memory) -> Array:
     """S (3, 3), second moments of the rates' derivatives: O'O of O = [w' x] sums to tr(S) I - S."""
     information = memory.position.information
-    return trace(information) / 2 * jnp.eye(3, dtype=information.dtype) - information
+    half = trace(information) / 2
+    return half[None, None] * eye(3, half) - information
 
 
 def _placed(place: rls.Info, memory: Memory, noisy: Array) -> Array:
@@ -95,11 +99,11 @@ def _placed(place: rls.Info, memory: Memory, noisy: Array) -> Array:
     how much the residuals' slow part exceeds that; their mean ratio is used, for single variances are uncertain. The
     derivatives' noise is quick and leaves no such slow part: its share of the residuals does not count.
     """
-    quick = jnp.sum(noisy * place.estimate[:, None] * place.estimate[None, :])
+    quick = jnp.sum(noisy * outer(place.estimate, place.estimate), axis=(0, 1))
     single = memory.gain * memory.density
     share = jnp.clip(1 - quick / (3 * place.variance), 0.1, 1) / jnp.where(single > 0, single, 1)
-    ratio = jnp.sum(memory.position.information * place.covariance) / (3 * place.variance * share)
-    return place.formal * (share * jnp.maximum(ratio, 1))
+    ratio = jnp.sum(memory.position.information * place.covariance, axis=(0, 1)) / (3 * place.variance * share)
+    return place.formal * (share * jnp.maximum(ratio, 1))[None, None]
 
 
 def _stretched(params: Params, place: rls.Info, memory: Memory, inverse: Array) -> Array:
@@ -114,25 +118,26 @@ def _stretched(params: Params, place: rls.Info, memory: Memory, inverse: Array) 
         jnp.asarray(x, inverse.dtype)
         for x in (params.gyroscope_axes, params.accelerometer_axes, params.accelerometer_bias)
     )
-    r, s, eye = place.estimate, _spread(memory), jnp.eye(3, dtype=inverse.dtype)
-    sr, square = jnp.sum(s * r[None, :], axis=1), product(s, s)
+    r, s = place.estimate, _spread(memory)
+    sr, square = applied(s, r), product(s, s)
     # D has entries of variance 1: E[tr(D S)^2] = tr(S^2), E[tr(D S) (D S r)'] = (S S r)', E[D S r (D S r)'] = |S r|^2.
-    mixed = outer(jnp.sum(square * r[None, :], axis=1), r)
-    own = trace(square) * outer(r, r) - mixed - mixed.T + jnp.sum(sr * sr) * eye
-    weighed = jnp.asarray([1.0, 1, 1, 0], inverse.dtype)[None, None, :] * acc * acc
-    weighed = weighed + jnp.asarray([0.0, 0, 0, 1], inverse.dtype)[None, None, :] * bias * bias
-    felt = product((memory.lever.reshape(3, 3, 4) * weighed).reshape(3, 12), memory.lever.T)
+    mixed = outer(applied(square, r), r)
+    length = jnp.sum(sr * sr, axis=0)
+    own = trace(square)[None, None] * outer(r, r) - mixed - transposed(mixed) + length[None, None] * eye(3, length)
+    lever = memory.lever
+    of_bias = np.asarray([0, 0, 0, 1] * 3).reshape((1, 12) + (1,) * acc.ndim) > 0
+    felt = product(lever * jnp.where(of_bias, (bias * bias)[None, None], (acc * acc)[None, None]), transposed(lever))
     twice = 1 + _centripetal(memory)
-    return sandwich(inverse, twice * twice * gyro * gyro / 2 * own + 2 * felt)
+    return sandwich(inverse, (twice * twice * gyro * gyro / 2)[None, None] * own + 2 * felt)
 
 
 def _centripetal(memory: Memory) -> Array:
     """Share () of the sum of O'O that is the squares' rather than the derivatives', for Gaussian rates."""
     turn = memory.rotation
-    s = turn.scatter[3:, 3:] / jnp.where(turn.weight > 0, turn.weight, 1)
+    s = _rates(turn)
     steps = turn.weight / jnp.where(memory.density > 0, memory.density, 1)
     # The trace of [w x]^4 is 2 |w|^4.
-    fourth = 2 * steps * (trace(s) ** 2 + 2 * jnp.sum(s * s))
+    fourth = 2 * steps * (trace(s) ** 2 + 2 * jnp.sum(s * s, axis=(0, 1)))
     total = trace(memory.position.information)
     return jnp.clip(fourth / jnp.where(total > 0, total, 1), 0, 1)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxest.filters import bingham_linear, rls
 from jaxest.filters import savitzky_golay as sg
+from jaxest.filters._small import eye
 from jaxest.types import Array, ArrayLike
 
 
@@ -40,9 +41,9 @@ class Params(NamedTuple):
 class Memory(NamedTuple):
     """What the next step needs, by name; `opened` gives it of a `State` and `closed` makes one of it."""
 
-    windows: sg.State
-    """Of IMU A and of P, each with stamps of its own: age and valid (2, W), value (W, 2, 6) rates, then specific
-    forces; the steps are common."""
+    windows: tuple[sg.State, sg.State]
+    """Of IMU A and of P, each with stamps of its own; values (W, 6) rates, then specific forces; the steps are
+    common."""
     rotation: bingham_linear.State
     position: rls.State
     lever: Array
@@ -64,8 +65,11 @@ class State(NamedTuple):
     """(106,) all that `Memory` names and that has one size, one leaf after the other."""
     times: Array
     """(4, W) ages of A's and P's samples, then whether they are there."""
-    values: Array
-    """(W, 2, 6) their values."""
+    values_a: Array
+    """(W, 6) A's values. XLA on CPU runs a step in one thread, without handing pieces of it around, where no array is
+    larger than 512 bytes: one array of both IMUs' values would be."""
+    values_p: Array
+    """(W, 6) P's."""
     recent: Array
     """(W + 3 N_lag,) ages of the steps, then the newest residuals of the position."""
     blocks: Array
@@ -124,9 +128,7 @@ def init(params: Params, *, key: Array | None = None, half_width: int = 7, lag: 
     window = sg.init(sg.Params(zero), half_width=half_width, channels=6)
     turn = bingham_linear.init(turning(params, dtype))
     place = rls.init(rls.Params(zero, zero, zero), lag=lag)
-    age, valid = (jnp.stack([x, x]) for x in (window.age, window.valid))
-    window = window._replace(age=age, value=jnp.stack([window.value] * 2, axis=1), valid=valid)
-    return closed(Memory(window, turn, place, jnp.zeros((3, 12), dtype), zero, zero), window.index)
+    return closed(Memory((window, window), turn, place, jnp.zeros((3, 12), dtype), zero, zero), window.index)
 
 
 def turning(params: Params, dtype: Any) -> bingham_linear.Params:
@@ -134,38 +136,41 @@ def turning(params: Params, dtype: Any) -> bingham_linear.Params:
     noise, bias, forgetting = (
         jnp.asarray(x, dtype) for x in (params.gyroscope_noise, params.gyroscope_bias, params.forgetting_rotation)
     )
-    covariance = noise * noise * jnp.eye(3, dtype=dtype)
+    covariance = (noise * noise)[None, None] * eye(3, noise)
     return bingham_linear.Params(covariance, covariance, math.sqrt(2) * bias, forgetting)
 
 
 def opened(state: State) -> Memory:
-    """Return what a state (not a batch of them) holds, by name."""
-    width, index = state.values.shape[0], state.index
+    """Return what a state holds, by name; of a batch, its axis is behind all others."""
+    width, index, batch = state.values_a.shape[0], state.index, state.numbers.shape[1:]
     ends = np.cumsum(_SIZES)[:-1].tolist()
-    parts = [x.reshape(s) for x, s in zip(jnp.split(state.numbers, ends), _SHAPES, strict=True)]
+    parts = [x.reshape(s + batch) for x, s in zip(jnp.split(state.numbers, ends), _SHAPES, strict=True)]
     weight, mean, scatter, information, projection, estimate, block, lever, gain, density, pending = parts
-    elapsed, queue = state.recent[:width], state.recent[width:].reshape(-1, 3)
-    windows = sg.State(state.times[:2], state.values, state.times[2:] > 0, elapsed, index)
+    elapsed, queue = state.recent[:width], state.recent[width:].reshape(-1, 3, *batch)
+    windows = tuple(
+        sg.State(state.times[k], value, state.times[2 + k] > 0, elapsed, index)
+        for k, value in enumerate((state.values_a, state.values_p))
+    )
     turn = bingham_linear.State(weight, mean, scatter, index)
     place = rls.State(
         information, projection, estimate, queue, block, state.blocks, pending > 0, state.seen, index
     )  # fmt: skip
-    return Memory(windows, turn, place, lever, gain, density)
+    return Memory((windows[0], windows[1]), turn, place, lever, gain, density)
 
 
 def closed(memory: Memory, index: Array) -> State:
-    """Return the state of its parts; `index` () is the number of steps seen."""
-    turn, place = memory.rotation, memory.position
+    """Return the state of its parts; `index` () is the number of steps seen. As for `opened`, of one or a batch."""
+    turn, place, batch = memory.rotation, memory.position, memory.gain.shape
     dtype = memory.gain.dtype
     leaves = (
         *turn[:3], place.information, place.projection, place.estimate, place.block, memory.lever, memory.gain,
         memory.density, place.pending.astype(dtype),
     )  # fmt: skip
-    windows = memory.windows
-    times = jnp.concatenate([windows.age, windows.valid.astype(dtype)])
-    recent = jnp.concatenate([windows.elapsed, place.queue.reshape(-1)])
-    numbers = jnp.concatenate([leaf.reshape(-1) for leaf in leaves])
-    return State(numbers, times, windows.value, recent, place.blocks, place.seen, index)
+    a, p = memory.windows
+    times = jnp.stack([a.age, p.age, a.valid.astype(dtype), p.valid.astype(dtype)])
+    recent = jnp.concatenate([a.elapsed, place.queue.reshape(-1, *batch)])
+    numbers = jnp.concatenate([leaf.reshape(-1, *batch) for leaf in leaves])
+    return State(numbers, times, a.value, p.value, recent, place.blocks, place.seen, index)
 
 
 __all__ = ["Info", "Memory", "Params", "State", "closed", "init", "opened", "turning"]

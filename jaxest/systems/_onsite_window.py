@@ -7,12 +7,15 @@ of motion and the window's width trades noise only. Sato 2024 evaluates each fit
 Conventions: A is the destination frame, P the other IMU; `R` takes P to A; r is P's place in A.
 """
 
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from jaxest.filters import savitzky_golay as sg
-from jaxest.filters._small import outer, product, sandwich
+from jaxest.filters._small import eye, outer, product, sandwich, trace, transposed, turned_back
+from jaxest.manifolds._algebra import skew
 from jaxest.types import Array
 
 
@@ -67,7 +70,7 @@ def kernel(time: Array, valid: Array, query: Array, *, degree: int, plain: bool)
     motion's M-th derivative.
 
     Args:
-        time: (W,) s, as `savitzky_golay.averaging` wants it.
+        time: (W,) s, as `savitzky_golay.averaging` wants it; axes behind, in all three arguments, are batches.
         valid: (W,) bool, whether the IMU's sample is there.
         query: () s, the time of the fit, the same for both IMUs.
         degree: of the polynomial, static.
@@ -80,41 +83,85 @@ def kernel(time: Array, valid: Array, query: Array, *, degree: int, plain: bool)
     mean = fit.value if plain else sg.averaging(time, fit.derivative)
     count = fit.samples.astype(time.dtype)
     # A missing sample repeats the one before it, and its noise: their weights count together.
-    gain = jnp.sum(jnp.where(time[:, None] == time[None, :], mean[:, None] * mean[None, :], 0))
+    gain = jnp.sum(jnp.where(time[:, None] == time[None, :], outer(mean, mean), 0), axis=(0, 1))
     return Kernel(mean, fit.derivative, gain, count / len(time), (fit.samples > degree) & fit.inside)
 
 
-def read(kernels: Kernel, value: Array, *, plain: bool) -> Window:
+def kernels(time: Array, valid: Array, query: Array, *, degree: int, plain: bool) -> Kernel:
+    """Return the weights of both IMUs' windows, leaves (2, ...); arguments as for `kernel`, of both.
+
+    A batch behind that has the same stamps for all its items, as runs of one simulation have, has them weighed once.
+    """
+
+    def weigh(time: Array, valid: Array, query: Array) -> Kernel:
+        one = partial(kernel, degree=degree, plain=plain)
+        found: Kernel = jax.vmap(one, in_axes=(0, 0, None))(time, valid, query)
+        return found
+
+    if time.ndim == 2:
+        return weigh(time, valid, query)
+
+    def once(*given: Array) -> Kernel:
+        found = weigh(*(x[..., 0] for x in given))
+        return jax.tree.map(lambda x: jnp.broadcast_to(x[..., None], (*x.shape, time.shape[2])), found)
+
+    same = [jnp.all(x == x[..., :1]) for x in (time, valid, query)]
+    found: Kernel = jax.lax.cond(same[0] & same[1] & same[2], once, weigh, time, valid, query)
+    return found
+
+
+def read(kernels: Kernel, values: tuple[Array, Array], *, plain: bool) -> Window:
     """Average both IMUs over one window.
 
     Args:
         kernels: leading axis of 2, of A and of P; or of 1, of both.
-        value: (W, 2, 6) of A and of P, rates, then specific forces; where missing, those of the sample before.
+        values: (W, 6) of A and of P, rates, then specific forces; where missing, those of the sample before. An axis
+            behind, here and in kernels of both, is a batch.
         plain: as for `kernel`.
 
     Returns:
         The averages.
     """
-    rates = value[:, :, :3]
-    parts = [value] if plain else [value, rates * rates, rates * jnp.roll(rates, -1, axis=2)]
-    columns = jnp.concatenate(parts, axis=2).reshape(len(value), -1)
-    # One product of both IMUs' weights and samples, for a batch takes longer over two of half the size.
-    sums = product(jnp.concatenate(kernels[:2]), columns).reshape(2, -1, 2, columns.shape[1] // 2)
-    a, p = (_means(sums[:, side % sums.shape[1], side], plain) for side in (0, 1))
+    a, p = _products(kernels, values, plain) if len(kernels.gain) == 1 else _rows(kernels, values, plain)
     # Where an IMU has half the samples, each of them counts in twice as many windows.
-    density = 1 / jnp.mean(1 / jnp.where(kernels.density > 0, kernels.density, 1))
-    steep = jnp.sum(kernels.derivative**2) / len(kernels.derivative)
-    return Window(a, p, jnp.mean(kernels.gain), steep, density, jnp.all(kernels.ready))
+    density = 1 / jnp.mean(1 / jnp.where(kernels.density > 0, kernels.density, 1), axis=0)
+    steep = jnp.sum(kernels.derivative**2, axis=(0, 1)) / len(kernels.derivative)
+    return Window(a, p, jnp.mean(kernels.gain, axis=0), steep, density, jnp.all(kernels.ready, axis=0))
 
 
-def _means(sums: Array, plain: bool) -> Means:
-    """One IMU's averages from the sums (2, 12), or (2, 6) where plain."""
-    rate, turn, force = sums[0, :3], sums[1, :3], sums[0, 3:6]
-    if plain:
-        return Means(rate, turn, outer(rate, rate), force)
-    xx, yy, zz, xy, yz, zx = sums[0, 6:]
-    square = jnp.stack([xx, xy, zx, xy, yy, yz, zx, yz, zz]).reshape(3, 3)
-    return Means(rate, turn, square, force)
+def _products(kernels: Kernel, values: tuple[Array, Array], plain: bool) -> tuple[Means, Means]:
+    """Both IMUs' averages by the same weights: one matrix product."""
+    both = [[x] if plain else [x, x[:, :3] * x[:, :3], x[:, :3] * jnp.roll(x[:, :3], -1, axis=1)] for x in values]
+    columns = jnp.concatenate([*both[0], *both[1]], axis=1)
+    sums = product(jnp.concatenate(kernels[:2]), columns)
+    half = columns.shape[1] // 2
+    a, p = (_means(x[0, :6], x[1, :3], x[0, 6:], plain) for x in (sums[:, :half], sums[:, half:]))
+    return a, p
+
+
+def _rows(kernels: Kernel, values: tuple[Array, Array], plain: bool) -> tuple[Means, Means]:
+    """Both IMUs' averages by sums of rows, of which XLA makes vector code for a batch behind."""
+
+    def one(side: int) -> Means:
+        mean, slope, x = kernels.mean[side], kernels.derivative[side], values[side]
+        means, turn, rates = turned_back(x, mean), turned_back(x[:, :3], slope), x[:, :3]
+        mixed = [turned_back((x[:, i] * x[:, (i + 1) % 3])[:, None], mean) for i in range(3)]
+        squares = () if plain else jnp.concatenate([turned_back(rates * rates, mean), *mixed])
+        return _means(means, turn, squares, plain)
+
+    return one(0), one(1)
+
+
+def _symmetric(xx: Array, yy: Array, zz: Array, xy: Array, yz: Array, zx: Array) -> Array:
+    """Return the matrix (3, 3) of its entries."""
+    found: Array = jnp.stack([xx, xy, zx, xy, yy, yz, zx, yz, zz]).reshape((3, 3, *xx.shape))
+    return found
+
+
+def _means(means: Array, turn: Array, squares: Any, plain: bool) -> Means:
+    """One IMU's averages of rates and forces (6,), of the rates' derivatives (3,) and squares (6,)."""
+    rate, force = means[:3], means[3:]
+    return Means(rate, turn, outer(rate, rate) if plain else _symmetric(*squares), force)
 
 
 def bent(window: Window, off: Array) -> Window:
@@ -133,11 +180,8 @@ def spin(imu: Means, bias: Array) -> Array:
     Source: Sato 2024, eq. 7.
     """
     mixed = outer(imu.rate, bias)
-    square = imu.square - mixed - mixed.T + outer(bias, bias)
-    x, y, z = imu.turn
-    zero = jnp.zeros_like(x)
-    turn = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
-    return square - jnp.trace(square) * jnp.eye(3, dtype=turn.dtype) + turn
+    square = imu.square - mixed - transposed(mixed) + outer(bias, bias)
+    return square - trace(square)[None, None] * eye(3, square[0, 0]) + skew(imu.turn)
 
 
 def regressor(window: Window, rotation: Array, bias_a: Array, bias_p: Array, noise: Array) -> Array:
@@ -158,4 +202,4 @@ def regressor(window: Window, rotation: Array, bias_a: Array, bias_p: Array, noi
 
 def turning_noise(covariance: Array) -> Array:
     """Return E[[n x]' [n x]] = -E[[n x]^2] for n of a covariance (3, 3)."""
-    return jnp.trace(covariance) * jnp.eye(3, dtype=covariance.dtype) - covariance
+    return trace(covariance)[None, None] * eye(3, covariance[0, 0]) - covariance

@@ -2,19 +2,21 @@
 
 import functools
 from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxest.filters import bingham_linear, rls
 from jaxest.filters import savitzky_golay as sg
-from jaxest.filters._small import trace
+from jaxest.filters._small import applied, eigen4, eye, held, largest, trace, transposed, turned_back
 from jaxest.manifolds import quaternion as quat
 from jaxest.systems import _onsite_covariance as unknown
 from jaxest.systems import _onsite_window as win
+from jaxest.systems._onsite_batched import batched
 from jaxest.systems._onsite_state import Info, Memory, Params, State, closed, init, opened, turning
 from jaxest.systems.onsite_simulation import Pair, simulate
-from jaxest.types import NON_FINITE, OK, Array, Reading, System
+from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading, System
 
 
 def build(
@@ -78,28 +80,45 @@ def step(
 
     Source: Sato 2024, sections III-A to III-D.
     """
+    for name in _CHANNELS:
+        reading = getattr(measurement, name)
+        shapes = (jnp.shape(reading.value), jnp.shape(reading.valid), jnp.shape(measurement.dt))
+        if shapes != ((3,), (), ()):
+            raise ValueError(
+                f"measurement, {name}: got shapes {shapes[0]} and {shapes[1]} for value and valid, {shapes[2]} for "
+                "dt, expected (3,), () and (); vmap or run adds other axes"
+            )
+    found: tuple[State, Info] = batched(partial(_step, degree=degree, plain=plain))(params, state, measurement)
+    return found
+
+
+def _step(
+    params: Params, state: State, measurement: Pair, go: Array | None, *, degree: int, plain: bool
+) -> tuple[State, Info]:
+    """The step of one pair, or of a batch behind all axes with `go` as for `held`."""
     memory = opened(state)
     dtype = memory.gain.dtype
-    windows, dt, status = _push(params, memory, measurement)
-    width = len(windows.elapsed)
-    delay = windows.elapsed[width // 2]
-    weigh = jax.vmap(partial(win.kernel, degree=degree, plain=plain), in_axes=(0, 0, None))
-    window = win.read(weigh(-windows.age, windows.valid, -delay), windows.value, plain=plain)
+    windows, status = _push(params, memory, measurement)
+    width = len(windows[0].elapsed)
+    delay = windows[0].elapsed[width // 2]
+    age, valid = (jnp.stack([getattr(x, name) for x in windows]) for name in ("age", "valid"))
+    kernels = win.kernels(-age, valid, -delay, degree=degree, plain=plain)
+    window = held(go, partial(win.read, plain=plain), kernels, (windows[0].value, windows[1].value))
     ready = window.ready & (state.index + 1 >= width)
-    turn, found, spread, covariance, gains = _rotation(params, memory, window, ready)
-    rotation = quat.to_matrix(found.quaternion)
-    half = found.bias / 2  # two gyros of one kind: each has its share of what differs
-    back = jnp.sum(rotation * half[:, None], axis=0)
-    o = win.regressor(window, rotation, half, -back, spread * (window.gain if plain else 1))
-    turned = jnp.sum(rotation * window.p.force[None, :], axis=1)
-    known = ready & (jnp.max(jnp.diagonal(covariance)) < jnp.asarray(params.gate, dtype) ** 2)
-    noisy = win.turning_noise(spread * (0 if plain else window.steep / 4))
-    observation = rls.Observation(Reading(o, known), Reading(turned - window.a.force, known), noisy, dt)
+    turn, found, spread, known, gains = _rotation(params, memory, window, ready, go)
+    known = ready & known
+    o, turned, noisy = held(go, partial(_regressor, plain=plain), window, found, spread)
+    force = jnp.where(known[None], turned - window.a.force, 0)
+    observed = (jnp.where(known[None, None], o, 0), force, jnp.where(known[None, None], noisy, 0), known)
     forgetting = jnp.asarray(params.forgetting_position, dtype)
-    settings = rls.Params(forgetting, jnp.zeros((), dtype), jnp.asarray(1e-4, dtype))
-    position, place = rls.step(settings, memory.position, observation, block=4 * width, start=rls.unweighted)
+    settings = rls.Params(forgetting, jnp.zeros_like(forgetting), jnp.full_like(forgetting, 1e-4))
+    advance = partial(rls.advance, settings, block=4 * width, start=rls.unweighted, go=go)
+    position, residuals = held(go, advance, memory.position, observed)
+    solved = held(go, partial(rls.solved, settings), position, residuals.variance)
+    place = rls.read(position, solved, residuals, status, block=4 * width)
+    position = position._replace(estimate=place.estimate)
     memory = Memory(windows, turn, position, _lever(memory, o, turned, known, forgetting), *gains)
-    off = unknown.Turned(rotation, covariance, unknown.askew(params, turn))
+    off = unknown.Turned(found.matrix, found.covariance, unknown.askew(params, turn))
     near, whole = unknown.whole(params, off, place, memory, noisy)
     info = Info(
         place.estimate, found.quaternion, whole, found.bias, place.residual, root(place.variance),
@@ -108,63 +127,97 @@ def step(
     return closed(memory, state.index + 1), info
 
 
-def _push(params: Params, memory: Memory, measurement: Pair) -> tuple[sg.State, Array, Array]:
-    """Both windows with the new samples, dt and the status."""
+def _push(params: Params, memory: Memory, measurement: Pair) -> tuple[tuple[sg.State, sg.State], Array]:
+    """Both windows with the new samples, and the status."""
     dtype = memory.gain.dtype
     dt = jnp.asarray(measurement.dt, dtype)
     timed = jnp.isfinite(dt)
-    values, flags = [], []
-    for name in _CHANNELS:
-        reading = getattr(measurement, name)
-        value, flag = jnp.asarray(reading.value, dtype), jnp.asarray(reading.valid, bool)
-        if (value.shape, flag.shape, dt.shape) != ((3,), (), ()):
-            raise ValueError(
-                f"measurement, {name}: got shapes {value.shape} and {flag.shape} for value and valid, {dt.shape} for "
-                "dt, expected (3,), () and (); vmap or run adds other axes"
-            )
-        values.append(value)
-        flags.append(flag)
-    value, flag = jnp.stack(values), jnp.stack(flags)
-    finite = jnp.all(jnp.isfinite(value), axis=1)
-    there = jnp.all((flag & finite & timed).reshape(2, 2), axis=1)
-    known = jnp.stack([jnp.asarray(x, dtype) for x in (params.bias_a, params.bias_p)])
-    sample = jnp.where(there[:, None], value.reshape(2, 6) - jnp.pad(known, ((0, 0), (0, 3))), 0)
-    both = sg.State(0, 1, 0, None, None)  # type: ignore[arg-type]  # which axes are the IMUs'
-    push = jax.vmap(sg.push, in_axes=(both, 0, 0, None), out_axes=both)
-    status = jnp.where(jnp.any(flag & ~finite) | ~timed, NON_FINITE, OK).astype(jnp.int32)
     step = jnp.where(timed, dt, 0)
-    return push(memory.windows, sample, there, step), step, status
+
+    def push(window: sg.State, gyro: Reading, acc: Reading, bias: ArrayLike) -> tuple[sg.State, Array]:
+        rate, force = (jnp.asarray(x.value, dtype) for x in (gyro, acc))
+        flags = [jnp.asarray(x.valid, bool) for x in (gyro, acc)]
+        finite = [jnp.all(jnp.isfinite(x), axis=0) for x in (rate, force)]
+        there = flags[0] & flags[1] & finite[0] & finite[1] & timed
+        value = jnp.concatenate([rate - jnp.asarray(bias, dtype), force])
+        broken = (flags[0] & ~finite[0]) | (flags[1] & ~finite[1])
+        return sg.push(window, jnp.where(there[None], value, 0), there, step), broken
+
+    m, (a, p) = measurement, memory.windows
+    a, broken_a = push(a, m.gyroscope_a, m.accelerometer_a, params.bias_a)
+    p, broken_p = push(p, m.gyroscope_p, m.accelerometer_p, params.bias_p)
+    status = jnp.where(broken_a | broken_p | ~timed, NON_FINITE, OK).astype(jnp.int32)
+    return (a, p), status
 
 
 _CHANNELS = ("gyroscope_a", "accelerometer_a", "gyroscope_p", "accelerometer_p")
 
 
+class Turn(NamedTuple):
+    """What is known of the rotation."""
+
+    quaternion: Array
+    """(4,)"""
+    matrix: Array
+    """(3, 3)"""
+    covariance: Array
+    """(3, 3) rad^2"""
+    bias: Array
+    """(3,) rad/s"""
+
+
 def _rotation(
-    params: Params, memory: Memory, window: win.Window, ready: Array
-) -> tuple[bingham_linear.State, bingham_linear.Estimate, Array, Array, tuple[Array, Array]]:
-    """Next moments, estimate, noise covariance of w_A - R w_P as of single samples, covariance, gain and density."""
+    params: Params, memory: Memory, window: win.Window, ready: Array, go: Array | None
+) -> tuple[bingham_linear.State, Turn, Array, Array, tuple[Array, Array]]:
+    """Next moments, estimate, noise covariance of w_A - R w_P as of single samples, known or not, gain and density."""
     dtype = memory.gain.dtype
     settings = turning(params, dtype)
     z = jnp.where(ready, jnp.concatenate([window.a.rate, window.p.rate]), 0)
     weight = jnp.where(ready, window.density, 0)
-    moved = bingham_linear.add(memory.rotation, z, weight, jnp.asarray(settings.forgetting, dtype))
-    found = bingham_linear.estimate(settings, moved)
-    share = weight / jnp.where(moved.weight > 0, moved.weight, 1)
+
+    def moved(before: bingham_linear.State, z: Array, weight: Array) -> Any:
+        turn = bingham_linear.add(before, z, weight, jnp.asarray(settings.forgetting, dtype))
+        return turn, bingham_linear.density(settings, turn)
+
+    turn, (second, a) = held(go, moved, memory.rotation, z, weight)
+    values, vectors = eigen4(a)
+    q, r = held(go, _mode, values, vectors)
+    bias, residual = held(go, partial(bingham_linear.rest, settings), turn, second, r)
+    share = weight / jnp.where(turn.weight > 0, turn.weight, 1)
     gain, density = memory.gain, memory.density
     gain, density = gain + share * (window.gain - gain), density + share * (window.density - density)
     # Averages of n overlapping windows are worth ten samples of what was assumed at the start.
-    assumed = 2 * jnp.asarray(settings.covariance_a)
-    scaled = found.residual / jnp.where(gain > 0, gain, 1)
-    spread = (moved.weight * scaled + 10 * assumed) / (moved.weight + 10)
-    ratio = trace(spread) / trace(assumed)
-    return moved, found, spread, found.covariance * ratio, (gain, density)
+    assumed = 2 * jnp.asarray(settings.covariance_a)[0, 0]
+    scaled = residual * (turn.weight / jnp.where(gain > 0, gain, 1))[None, None]
+    spread = (scaled + 10 * assumed[None, None] * eye(3, turn.weight)) / (turn.weight + 10)[None, None]
+    covariance = held(go, partial(bingham_linear.spread, settings), turn, second, values, vectors, q)
+    covariance = covariance * (trace(spread) / (3 * assumed))[None, None]
+    most = jnp.maximum(jnp.maximum(covariance[0, 0], covariance[1, 1]), covariance[2, 2])
+    known = most < jnp.asarray(params.gate, dtype) ** 2
+    return turn, Turn(q, r, covariance, bias), spread, known, (gain, density)
+
+
+def _mode(values: Array, vectors: Array) -> tuple[Array, Array]:
+    """Quaternion and matrix of the largest eigenvalue."""
+    q = largest(values, vectors)
+    matrix = quat.to_matrix if q.ndim == 1 else jax.vmap(quat.to_matrix, in_axes=-1, out_axes=-1)
+    return q, matrix(q)
+
+
+def _regressor(window: win.Window, found: Turn, spread: Array, *, plain: bool) -> tuple[Array, Array, Array]:
+    """Return what takes r to the forces' difference, P's force in A, and what noise adds to the regressor's square."""
+    half = found.bias / 2  # two gyros of one kind: each has its share of what differs
+    back = turned_back(found.matrix, half)
+    o = win.regressor(window, found.matrix, half, -back, spread * (window.gain[None, None] if plain else 1))
+    steep = 0 * window.steep if plain else window.steep / 4
+    return o, applied(found.matrix, window.p.force), win.turning_noise(spread * steep[None, None])
 
 
 def _lever(memory: Memory, o: Array, force: Array, known: Array, forgetting: Array) -> Array:
     """Next sums; a step that does not count adds nothing and forgets nothing."""
     both = jnp.concatenate([force, jnp.ones_like(force[:1])])
-    fresh = (o.T[:, :, None] * both[None, None, :]).reshape(3, 12)
-    return jnp.where(known, forgetting * memory.lever + fresh, memory.lever)
+    fresh = (transposed(o)[:, :, None] * both[None, None, :]).reshape(memory.lever.shape)
+    return jnp.where(known[None, None], forgetting[None, None] * memory.lever + fresh, memory.lever)
 
 
 def root(x: Array) -> Array:

@@ -184,7 +184,7 @@ def _windows(measurements: Pair, half_width: Array, reach: int, degree: int) -> 
         at = time[jnp.clip(kept - centre + reach, 0, 2 * reach)]
         weights = win.kernel(at, valid, jnp.zeros((), dt.dtype), degree=degree, plain=False)
         both = jax.tree.map(lambda x: x[None], weights)
-        window = win.read(both, value[kept].reshape(-1, 2, 6), plain=False)
+        window = win.read(both, (value[kept, :6], value[kept, 6:]), plain=False)
         return window._replace(ready=window.ready & (centre >= half_width) & (centre + half_width < count))
 
     return jax.vmap(one)(jnp.arange(count))

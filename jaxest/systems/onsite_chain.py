@@ -23,6 +23,7 @@ from jaxest.filters._small import product, sandwich
 from jaxest.kinematics.modular import Assembly, assemble, check, known
 from jaxest.kinematics.robot import Robot
 from jaxest.manifolds import quaternion as quat
+from jaxest.manifolds._algebra import skew
 from jaxest.manifolds.se3 import Pose
 from jaxest.systems import onsite
 from jaxest.systems.onsite_recording import Imu, brought, explain
@@ -194,10 +195,8 @@ def _joint_in_joint(
     mounting = front_rotation, front, rear_rotation, rear
     position, quaternion = _placed(imus.position, imus.quaternion, *mounting)
     a, r, b = (quat.to_matrix(q) for q in (front_rotation, imus.quaternion, rear_rotation))
-    x, y, z = -quat.rotate(quat.inverse(rear_rotation), rear)
-    zero = jnp.zeros_like(x)
-    skew = jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)
-    moved = -product(product(a, r), skew)  # of the position by a turn of P
+    arm = -quat.rotate(quat.inverse(rear_rotation), rear)
+    moved = -product(product(a, r), skew(arm))  # of the position by a turn of P
     slope = jnp.concatenate(
         [jnp.concatenate([b, jnp.zeros_like(b)], axis=1), jnp.concatenate([moved, a], axis=1)]
     )  # fmt: skip

@@ -115,6 +115,32 @@ def test_clocks_that_never_share_a_step():
     assert 0.6 < np.median(ratio) < 1.6
 
 
+@pytest.mark.parametrize("stamps", ["common", "own"])
+def test_a_batch_has_the_numbers_of_one(x64, stamps):
+    """Many pairs take another way than one: with stamps in common and of their own, lost samples, axes, forgetting."""
+    runs, count = 9, 120
+    m, _ = draw(runs, seed=4, dtype=np.float64, steps=count)
+    rng = np.random.default_rng(3)
+    there = np.broadcast_to(rng.uniform(size=count) > 0.05, (runs, count))
+    if stamps == "own":
+        m = m._replace(dt=m.dt * rng.uniform(0.8, 1.2, (runs, count)))
+        there = rng.uniform(size=(runs, count)) > 0.05
+    m = m._replace(gyroscope_p=m.gyroscope_p._replace(valid=there))
+    system = onsite.build(half_width=3)
+    off = {"gyroscope_axes": 0.002, "accelerometer_axes": 0.003, "accelerometer_bias": 0.01}
+    params = system.default_params._replace(**off, forgetting_rotation=0.99, forgetting_position=0.98, gate=0.05)
+    params = jax.tree.map(np.float64, params)
+
+    def one(m):
+        return run(system.step, params, system.init(params), m)[1]
+
+    many = jax.jit(jax.vmap(one), compiler_options=QUICK)(m)
+    loop = jax.jit(lambda m: jax.lax.map(one, m), compiler_options=QUICK)(m)
+    assert np.all(many.valid[:, -1])
+    for name, a, b in zip(many._fields, many, loop, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-7, atol=1e-10, err_msg=name)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("noise", "median", "worst"), [({}, 0.3, 1.0), (HARD, 1.0, 2.0)], ids=["usual", "hard"])
 def test_live_figures(noise, median, worst):
