@@ -27,7 +27,8 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
 
     Yields:
         The time of one live step called from Python with NumPy readings and waited for; of one sample of one pair when
-        1000 pairs of 4000 samples run at once; and the time to compile either.
+        1000 pairs of 4000 samples run at once, with the same stamps and with stamps of their own; and the time to
+        compile either.
     """
     progress("live step")
     system = onsite.build()
@@ -61,13 +62,17 @@ def _batched(
         return info.position, info.quaternion, info.covariance
 
     every = jax.jit(jax.vmap(final))
+    uneven = np.random.default_rng(2).uniform(0.8, 1.2, (pairs, length)).astype(np.float32)
+    jittered = measurements._replace(dt=measurements.dt * uneven)
     candidates = [candidate("batched", every, measurements, items=pairs * length)]
+    candidates.append(Candidate("own", partial(every, jittered), pairs * length))
     if peers:
         candidates.append(Candidate("loop", partial(loop, samples), len(samples.dt)))
     timings = race(candidates, repeats=2 if small else 4)
     peer = timings["loop"]._replace(name="NumPy, the same step by step") if peers else None
     condition = f"{pairs} pairs at once, per sample and pair"
     yield compare("batched step", condition, timings["batched"], peer)
+    yield compare("batched step", f"{condition}, stamps of their own", timings["own"], peer)
     yield compile_row(f"{pairs} pairs, {length} samples", timings["batched"])
 
 

@@ -24,10 +24,6 @@ def batched(step: Callable[..., Any]) -> Callable[..., Any]:
         `(params, state, measurement) -> (state, info)` of one item, for `vmap`, `grad` and `jit`. Its derivatives are
         those of `step` with None.
     """
-    return _batched(step)
-
-
-def _batched(step: Callable[..., Any]) -> Callable[..., Any]:
     single = functools.partial(step, go=None)
     mapped = jax.custom_batching.custom_vmap(single)
 
@@ -46,9 +42,14 @@ def _batched(step: Callable[..., Any]) -> Callable[..., Any]:
 
     @stepped.defjvp
     def _(primals: Any, tangents: Any) -> Any:
-        return jax.jvp(single, primals, tangents)
+        return jax.jvp(lambda *given: jax.tree.map(_in_front, single(*given)), primals, tangents)
 
     return stepped
+
+
+def _in_front(x: Array) -> Array:
+    """Return x; a batch that `vmap` adds then lies in front, as `custom_jvp` takes for granted after `custom_vmap`."""
+    return x.reshape((*x.shape, 1)).reshape(x.shape)
 
 
 def _behind(step: Callable[..., Any], size: int, is_batched: Any, params: Any, state: Any, measurement: Any) -> Any:

@@ -88,8 +88,13 @@ def step(
                 f"measurement, {name}: got shapes {shapes[0]} and {shapes[1]} for value and valid, {shapes[2]} for "
                 "dt, expected (3,), () and (); vmap or run adds other axes"
             )
-    found: tuple[State, Info] = batched(partial(_step, degree=degree, plain=plain))(params, state, measurement)
+    found: tuple[State, Info] = _one_or_many(degree, plain)(params, state, measurement)
     return found
+
+
+@functools.cache
+def _one_or_many(degree: int, plain: bool) -> Any:
+    return batched(partial(_step, degree=degree, plain=plain))
 
 
 def _step(
