@@ -58,8 +58,8 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
     with jax.enable_x64(True):
         progress("data, linearisation and warm-up")
         begun = time.perf_counter()
-        case = problem(small)
         iterations = 16 if small else ITERATIONS
+        case = problem(small, iterations // 4)
         progress(f"{CHAINS} chains of {iterations} iterations")
         ours, r_hat = _ours(case, iterations)
         whole = time.perf_counter() - begun
@@ -74,13 +74,21 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
         yield _bootstrap(case, peers, small)
 
 
-def problem(small: bool) -> Case:
-    """Return the paper-like problem, tuned, with chains from dispersed starts; a short warm-up if small."""
+def problem(small: bool, piece: int | None = None) -> Case:
+    """Return the paper-like problem, tuned, with chains from dispersed starts; a short warm-up if small.
+
+    Our sampler is compiled meanwhile for that many iterations of a piece.
+    """
     robot, model = kinematics.load(models.path("baxter_left_arm")), torque_model.constant(7)
     key = jax.random.key(0)
     scene = torque_settings.scene(robot, torque_settings.named("paper"), key=key)
-    params = torque_sampler.tune(model, robot, scene.prior, scene.data, key=key, iterations=12 if small else 200)
+    program = None
+    if piece is not None:
+        program = torque_sampler.prepare("gibbs", model, robot, scene.prior, scene.data, count=CHAINS, iterations=piece)
+    params = torque_sampler.tune(model, robot, scene.prior, scene.data, key=key, iterations=12 if small else 100)
     starts = torque_sampler.start(model, params, scene.data, key=jax.random.key(1), count=CHAINS)
+    if program is not None:
+        program.result()
     return Case(robot, model, scene, params, starts)
 
 

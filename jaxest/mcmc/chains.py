@@ -9,14 +9,16 @@ from jax.scipy.linalg import solve_triangular
 from jax.sharding import Mesh
 
 from jaxest.filters.run import full, run
-from jaxest.mcmc.kernel import Info, Kernel, Params, State, Tuning, collapsed, coordinates, draw_theta
-from jaxest.mcmc.model import Data, Linear, Model, Prior, Unknown, normals
+from jaxest.mcmc.kernel import collapsed, draw_theta, log_density
+from jaxest.mcmc.laplace import fit
+from jaxest.mcmc.model import Data, Linear, Model, Prior, Unknown, linearize, normals
+from jaxest.mcmc.state import Info, Kernel, Params, State, Tuning, chosen, coordinates
 from jaxest.mcmc.twist import backward, collapse, draw, fit_path, flow
-from jaxest.parallel import gather, shards
+from jaxest.parallel import Spread, gather, shards
 from jaxest.types import Array, PyTree
 
 _SHRINK = 20.0  # draws that a diagonal covariance counts for when the warm-up fits one
-_STRIDE = 0.8
+_STRIDE = 0.8  # of proposals whose density is a guess or fitted to few draws
 
 
 class Chains(NamedTuple):
@@ -89,7 +91,7 @@ def advance(
 
 
 @cache
-def _shares(kernel: Kernel, iterations: int, history: Any, over: Mesh) -> Any:
+def _shares(kernel: Kernel, iterations: int, history: Any, over: Mesh) -> Spread:
     """Compile the run of one device's chains once for all pieces of a run."""
 
     def one(params: Params, data: Data, index: Array, state: State, key: Array) -> tuple[State, Info]:
@@ -98,6 +100,35 @@ def _shares(kernel: Kernel, iterations: int, history: Any, over: Mesh) -> Any:
         return after.chain, info
 
     return shards(one, over, common=3)
+
+
+def prepare(
+    kernel: Kernel, model: Model, params: PyTree, prior: Prior, data: Data, *, count: int, iterations: int,
+    history: Any = full, over: Mesh,
+) -> None:  # fmt: skip
+    """Compile what `advance` will run, before there is any tuning: in a thread, while `warm_up` works.
+
+    Args:
+        kernel: the sampler.
+        model: the model.
+        params: its parameters.
+        prior: the prior.
+        data: the series.
+        count: C, chains; static.
+        iterations: of a call of `advance`; static.
+        history: as in `advance`.
+        over: as in `advance`.
+    """
+
+    def made(params: PyTree, prior: Prior, data: Data, key: Array) -> tuple[Params, Chains]:
+        path, theta = jnp.zeros((len(data.value), model.size)), jnp.zeros(model.linear)
+        linear = linearize(model, params, prior, data, path, theta)
+        z = coordinates(prior.beta)
+        tuning = _tuning(model, prior, data, linear, z, jnp.diag(z))
+        return Params(params, prior, tuning), init(key, dispersed(model, prior, data, linear, key=key, count=count))
+
+    given, chains = jax.eval_shape(made, params, prior, data, jax.random.key(0))
+    _shares(kernel, iterations, history, over).prepare(given, data, chains.index, chains.chain, chains.key)
 
 
 def init(key: Array, states: State) -> Chains:
@@ -171,10 +202,13 @@ def _tuning(model: Model, prior: Prior, data: Data, linear: Linear, centre: Arra
 
 
 def warm_up(
-    model: Model, params: Params, data: Data, *, key: Array, count: int = 4, iterations: int = 200, rounds: int = 2,
+    model: Model, params: Params, data: Data, *, key: Array, count: int = 4, iterations: int = 100, rounds: int = 2,
     over: Mesh | None = None,
 ) -> tuple[Params, Chains, Info]:  # fmt: skip
     """Find the tuning: Gibbs chains of the linear model from dispersed starts, linearised anew after each round.
+
+    So few draws tell where the variances lie, not how they go together: the proposals' density is that of the mode and
+    the curvature of the linear model's density there, and proposals draw all of z anew.
 
     Args:
         model: the model.
@@ -200,7 +234,18 @@ def warm_up(
         chains, history = (chains._replace(chain=_here(chains.chain)), _here(history)) if over else (chains, history)
         params = params._replace(tuning=_refit(model, params, data, history, iterations // 3))
     assert history is not None
-    return params, chains, history
+    return params._replace(tuning=_curved(model, params, data)), chains, history
+
+
+@partial(jax.jit, static_argnums=0)
+def _curved(model: Model, params: Params, data: Data) -> Tuning:
+    """Take the proposals' density from the curvature at its centre, unless there is none to be had."""
+    tuning = params.tuning
+    scale = jnp.sqrt(jnp.sum(tuning.root**2, axis=1))
+    found = fit(partial(log_density, model, params, data), tuning.centre, scale)
+    better = found.good & jnp.all(found.mean > 0)
+    new = tuning._replace(centre=found.mean, root=found.root, stride=jnp.ones_like(tuning.stride))
+    return chosen(better, new, tuning)
 
 
 def _here(tree: PyTree) -> PyTree:
@@ -228,4 +273,4 @@ def _fitted(prior: Prior, drawn: Unknown, discard: int) -> tuple[Unknown, Array]
     return Unknown(theta, centre**-3), jnp.linalg.cholesky(covariance)
 
 
-__all__ = ["Chains", "advance", "dispersed", "init", "step", "untuned", "warm_up"]
+__all__ = ["Chains", "advance", "dispersed", "init", "prepare", "step", "untuned", "warm_up"]

@@ -9,6 +9,7 @@ the path, where it is many times faster.
 Source: Andrieu, Doucet and Holenstein 2010 (conditional SMC); Lindsten, Jordan and Schoen 2014 (ancestor sampling).
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -16,7 +17,7 @@ import jax.numpy as jnp
 
 from jaxest.filters.kalman.gaussian import product
 from jaxest.filters.resampling import effective_sample_size, multinomial, normalize
-from jaxest.mcmc.model import Data, Linear, Model, Unknown, log_weight, normals, remainder
+from jaxest.mcmc.model import Data, Linear, Model, Unknown, linear_steps, log_weight, next_states, normals
 from jaxest.mcmc.twist import Twist, draw, flow, log_evidence
 from jaxest.types import Array, PyTree
 
@@ -74,8 +75,9 @@ def run(
     body = _Body(model, params, data, linear, unknown, threshold, ancestors)
     x = _propose(twist, 0, jnp.broadcast_to(linear.offset[0], (count, n)), shift, normal[0])
     x = x if kept is None else x.at[0].set(kept[0])
-    assert twist.ahead is not None, "the twist must be whole"
-    first = _quadratic(twist.ahead[0], twist.ahead_log[0], linear.offset[0][None], shift)[0]
+    assert twist.link is None or twist.ahead is not None, "the twist must be whole"
+    at_first = None if twist.ahead is None else twist.ahead[0]
+    first = _quadratic(at_first, twist.ahead_log[0], linear.offset[0][None], shift)[0]
     log = jnp.full(count, -jnp.log(jnp.asarray(count, x.dtype)))
     by_time = twist._replace(evidence=jnp.zeros(steps), evidence_log=jnp.zeros(steps))
     xs = (
@@ -152,14 +154,20 @@ def _z(x: Array, shift: Array) -> Array:
     return jnp.concatenate([x, one, jnp.broadcast_to(shift, (x.shape[0], len(shift)))], axis=1)
 
 
-def _quadratic(a: Array, log: Array, x: Array, shift: Array) -> Array:
+def _quadratic(a: Array | None, log: Array, x: Array, shift: Array) -> Array:
+    if a is None:
+        return jnp.broadcast_to(log, (x.shape[0],))
     z = _z(x, shift)
     return log - jnp.sum(product(z, a) * z, axis=1) / 2
 
 
 def _propose(twist: Twist, row: int | None, ahead: Array, shift: Array, normal: Array) -> Array:
     """Draw states (N, n) around their predictions (N, n)."""
-    root, link = (twist.root, twist.link) if row is None else (twist.root[row], twist.link[row])
+    root, inverse, link = (
+        leaf if leaf is None or row is None else leaf[row] for leaf in (twist.root, twist.inverse, twist.link)
+    )
+    if link is None:
+        return ahead + normal * jnp.diagonal(inverse)[None]
     white = normal - product(_z(ahead, shift), link.T)
     return ahead + jax.scipy.linalg.solve_triangular(root, white.T, lower=True, trans=1).T
 
@@ -228,21 +236,22 @@ def at_once(
     paths = draw(given, linear, normal)
     paths = paths if path is None else paths.at[0].set(path)
 
-    def missed(path: Array) -> Array:
-        return remainder(model, params, linear, unknown.theta, data, path)
+    def steps_of(path: Array) -> Array:
+        return next_states(model, params, unknown.theta, data, path)
 
-    def by_blocks(paths: Array) -> Array:
+    def weigh(paths: Array) -> tuple[Array, Array]:
         blocks = paths.reshape(-1, block if count % block == 0 else 1, steps, n)
-        return jax.lax.map(jax.vmap(missed), blocks).reshape(count, steps - 1, n)
+        ahead = jax.lax.map(jax.vmap(steps_of), blocks).reshape(count, steps - 1, n)
+        error = ahead - jax.vmap(partial(linear_steps, linear, unknown.theta))(paths)
+        return error, jax.vmap(partial(log_weight, model, data, linear, unknown))(paths, error)
 
-    errors, moved = by_blocks(paths), jnp.zeros(count)
+    error, weights = weigh(paths)
     if corrected:
         # Each state is still its normal numbers, scaled, plus what earlier numbers say: the density is known.
-        paths = draw(given, linear, normal, errors)
-        apart = jnp.einsum("tji,tjk,Ntk->Nti", twist.root[1:], given.left[1:], errors)
+        paths = draw(given, linear, normal, error)
+        apart = jnp.einsum("tji,tjk,Ntk->Nti", twist.root[1:], given.left[1:], error)
         moved = -jnp.sum((normal[:, 1:] + apart / 2) * apart, axis=(1, 2))
-        errors = by_blocks(paths)
-    weights = moved + jax.vmap(lambda path, error: log_weight(model, data, linear, unknown, path, error))(paths, errors)
+        weights = moved + weigh(paths)[1]
     log, total, _ = normalize(weights)
     index = jax.random.categorical(key_choice, log)
     size = jnp.asarray(count, total.dtype)

@@ -1,4 +1,4 @@
-"""What the samplers share: tuning, the state of a chain, and moves of the variances with theta and path along.
+"""Moves of the variances with theta and path along, and the collapsed sampler that they make.
 
 Variances are moved in the coordinates z = variance^(-1/3), in which the reciprocal of a gamma-like density is nearly
 normal (Wilson and Hilferty). A proposal keeps a normal density of z invariant, fitted while the chain warms up
@@ -6,7 +6,6 @@ normal (Wilson and Hilferty). A proposal keeps a normal density of z invariant, 
 numbers from which the linear model would have drawn it. What is left for the acceptance to correct is small.
 """
 
-from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
@@ -17,7 +16,6 @@ from jax.scipy.linalg import solve_triangular
 from jaxest.distributions import inverse_gamma
 from jaxest.mcmc.model import (
     Data,
-    Linear,
     Model,
     Prior,
     Unknown,
@@ -27,66 +25,20 @@ from jaxest.mcmc.model import (
     normals,
     remainder,
 )
+from jaxest.mcmc.state import (
+    POWER,
+    Info,
+    Kernel,
+    Params,
+    State,
+    Tuning,
+    accept,
+    chosen,
+    coordinates,
+    finish,
+)
 from jaxest.mcmc.twist import Collapsed, Twist, backward, collapse, draw, flow, log_evidence, whiten
-from jaxest.types import Array, PyTree
-
-_POWER = -1 / 3
-
-
-class Tuning(NamedTuple):
-    """What a warm-up finds and the chain then keeps."""
-
-    linear: Linear
-    """Along a path that is not the chain's own."""
-    centre: Array
-    """(d,) mean of z."""
-    root: Array
-    """(d, d) lower triangular root of the covariance of z."""
-    stride: Array
-    """() share of z that is drawn anew at each proposal, in (0, 1]."""
-    theta_root: Array
-    """(p, p) a root of the covariance of theta; only the baseline's random walk needs it."""
-
-
-class Params(NamedTuple):
-    """Parameters of a kernel."""
-
-    model: PyTree
-    """Of the model's transition."""
-    prior: Prior
-    tuning: Tuning
-
-
-class State(NamedTuple):
-    """A chain."""
-
-    path: Array
-    """(T, n)"""
-    unknown: Unknown
-    log_likelihood: Array
-    """() what a particle method estimated for this state; 0 where the kernel keeps none."""
-    index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
-    """() int32, iterations done."""
-
-
-class Info(NamedTuple):
-    """One iteration."""
-
-    unknown: Unknown
-    accepted: Array
-    """() share of the proposals of variances and theta that were accepted."""
-    updated: Array
-    """(T,) bool, whether each time's state is another than before."""
-    ess: Array
-    """(T,) effective sample size."""
-    log_likelihood: Array
-    """() estimate of log p(y | theta, variances)."""
-    probe: Array
-    """(T,) a number a time by which its mixing is judged: the sum of the measured entries of the state."""
-
-
-Kernel = Callable[..., tuple[State, Info]]
-"""`(params, data, state, *, key) -> (state, info)`."""
+from jaxest.types import Array
 
 
 class Proposal(NamedTuple):
@@ -98,14 +50,18 @@ class Proposal(NamedTuple):
     """() log acceptance ratio in the linear model with theta integrated out."""
 
 
-def coordinates(variances: Array) -> Array:
-    """Return z (d,)."""
-    return variances**_POWER
-
-
 def _log_target(prior: Prior, unknown: Unknown, log_evidence: Array) -> Array:
     """Log density of z up to a constant: prior and evidence, times the derivative of the variances by z, -3 z^-4."""
     return log_prior(prior, unknown) + log_evidence - 4 * jnp.sum(jnp.log(coordinates(unknown.variances)))
+
+
+def log_density(model: Model, params: Params, data: Data, z: Array) -> Array:
+    """Return the linear model's log density of z (d,), theta and path integrated out, up to a constant."""
+    prior, linear = params.prior, params.tuning.linear
+    variances = z ** (1 / POWER)
+    found = collapse(prior, linear, backward(model, prior, data, linear, variances))
+    middle = jnp.clip(linear.centre, prior.low, prior.high)
+    return _log_target(prior, Unknown(middle, variances), found.log_evidence)
 
 
 def _log_reference(tuning: Tuning, z: Array) -> Array:
@@ -146,7 +102,7 @@ def propose(
     moved = tuning.centre + keep * (z - tuning.centre) + tuning.stride * (tuning.root @ normal)
     good = jnp.all(moved > 0)
     moved = jnp.where(good, moved, z)
-    variances = moved ** (1 / _POWER)
+    variances = moved ** (1 / POWER)
     later = backward(model, prior, data, tuning.linear, variances, twist.here is not None)
     collapsed, before = collapse(prior, tuning.linear, later), collapse(prior, tuning.linear, twist)
     found = Unknown(draw_theta(key_theta, collapsed), variances)
@@ -155,16 +111,6 @@ def propose(
     ratio = _log_target(prior, found, collapsed.log_evidence) - _log_target(prior, unknown, before.log_evidence)
     ratio = ratio + _log_reference(tuning, z) - _log_reference(tuning, moved)
     return Proposal(found, later, jnp.where(good & jnp.isfinite(ratio), ratio, -jnp.inf))
-
-
-def chosen(accept: Array, new: PyTree, old: PyTree) -> PyTree:
-    """Return one of two pytrees by a bool ()."""
-    return jax.tree.map(lambda a, b: jnp.where(accept, a, b), new, old)
-
-
-def accept(key: Array, log_ratio: Array) -> Array:
-    """Return whether a proposal is accepted, () bool."""
-    return jnp.log(jax.random.uniform(key, (), log_ratio.dtype)) < log_ratio
 
 
 def move_together(
@@ -320,16 +266,6 @@ def surrogate(
     return second, later
 
 
-def finish(
-    state: State, path: Array, unknown: Unknown, share: Array, ess: Array, log_likelihood: Array, model: Model
-) -> tuple[State, Info]:
-    """Return the next state of a chain and the info of this iteration."""
-    updated = jnp.any(path != state.path, axis=1)
-    probe = jnp.sum(path[:, jnp.asarray(model.observed)], axis=1)
-    after = State(path, unknown, log_likelihood, state.index + 1)
-    return after, Info(unknown, share, updated, ess, log_likelihood, probe)
-
-
 __all__ = [
     "Info",
     "Kernel",
@@ -345,6 +281,7 @@ __all__ = [
     "draw_theta",
     "draw_variances",
     "finish",
+    "log_density",
     "move_together",
     "propose",
     "surrogate",

@@ -124,13 +124,18 @@ def log_prior(prior: Prior, unknown: Unknown) -> Array:
     return jnp.where(inside, value, -jnp.inf)
 
 
-def remainder(model: Model, params: PyTree, linear: Linear, theta: Array, data: Data, path: Array) -> Array:
-    """Return by how much the model's steps differ from the linear model's, (T - 1, n), along a path (T, n)."""
+def next_states(model: Model, params: PyTree, theta: Array, data: Data, path: Array) -> Array:
+    """Return the model's next states (T - 1, n) without noise along a path (T, n)."""
 
     def step(x: Array, given: PyTree) -> Array:
         return model.transition(params, theta, x, given)
 
-    return jax.vmap(step)(path[:-1], data.inputs) - linear_steps(linear, theta, path)
+    return jax.vmap(step)(path[:-1], data.inputs)
+
+
+def remainder(model: Model, params: PyTree, linear: Linear, theta: Array, data: Data, path: Array) -> Array:
+    """Return by how much the model's steps differ from the linear model's, (T - 1, n), along a path (T, n)."""
+    return next_states(model, params, theta, data, path) - linear_steps(linear, theta, path)
 
 
 def linear_steps(linear: Linear, theta: Array, path: Array) -> Array:
@@ -159,8 +164,12 @@ def log_weight(model: Model, data: Data, linear: Linear, unknown: Unknown, path:
 
 
 def normals(key: Array, *shape: int) -> Array:
-    """Draw standard normal numbers; flat, since XLA on CPU compiles a draw of several axes for 7 s, and so for 0.4."""
-    return jax.random.normal(key, (math.prod(shape),), jnp.float64).reshape(shape)
+    """Draw standard normal numbers of float32's resolution, which no chain can tell, as float64.
+
+    A particle filter draws a million at a time; float64's own take five times as long. Flat, since XLA on CPU compiles
+    a draw of several axes for 7 s, and so for 0.4.
+    """
+    return jax.random.normal(key, (math.prod(shape),), jnp.float32).astype(jnp.float64).reshape(shape)
 
 
 __all__ = [
@@ -173,6 +182,7 @@ __all__ = [
     "linearize",
     "log_prior",
     "log_weight",
+    "next_states",
     "normals",
     "remainder",
 ]

@@ -26,8 +26,9 @@ class Twist(NamedTuple):
     """(T, n, n) L, lower triangular: L L' is the precision of state t given the one before and all data from t on."""
     inverse: Array
     """(T, n, n) of L."""
-    link: Array
-    """(T, n, k) W = L^-1 A: `L' u + W z` is standard normal for the noise u of state t, z taken at its prediction."""
+    link: Array | None
+    """(T, n, k) W = L^-1 A: `L' u + W z` is standard normal for the noise u of state t, z taken at its prediction; None
+    where nothing is known of the data: it, `here` and `ahead` are zero then."""
     here: Array | None
     """(T, k, k) A of psi[t], at state t; None where whole paths are drawn, which has no need of it."""
     ahead: Array | None
@@ -134,20 +135,25 @@ def backward(model: Model, prior: Prior, data: Data, linear: Linear, variances: 
 def next_only(model: Model, prior: Prior, data: Data, linear: Linear, variances: Array) -> Twist:
     """Look at the next measurement only, as fully adapted particles do; arguments as in `backward`, always whole."""
     here, log = _measured(model, linear, data, variances)
-    return _apart(here, log, _noises(model, prior, variances, linear.path.shape[0]), model)
+    noise = _noises(model, prior, variances, linear.path.shape[0])
+    factors, ahead, gain = jax.vmap(_eliminate)(here, noise)
+    unknown = _unknown(model, here.dtype)
+    return Twist(*factors, here, ahead, log, log + gain, unknown, unknown[0, 0])
 
 
 def nothing(model: Model, prior: Prior, data: Data, linear: Linear, variances: Array) -> Twist:
-    """Look at no measurement to come, as bootstrap particles do; arguments as in `backward`, always whole."""
-    here, log = _measured(model, linear, data, variances)
-    noise = _noises(model, prior, variances, linear.path.shape[0])
-    return _apart(jnp.zeros_like(here), jnp.zeros_like(log), noise, model)
+    """Look at no measurement to come, as bootstrap particles do; arguments as in `backward`."""
+    del data
+    sd = jnp.sqrt(_noises(model, prior, variances, linear.path.shape[0]))
+    none = jnp.zeros_like(sd[:, 0])
+    unknown = _unknown(model, sd.dtype)
+    return Twist(
+        jax.vmap(jnp.diag)(1 / sd), jax.vmap(jnp.diag)(sd), None, None, None, none, none, unknown, unknown[0, 0]
+    )
 
 
-def _apart(here: Array, log: Array, noise: Array, model: Model) -> Twist:
-    factors, ahead, gain = jax.vmap(_eliminate)(here, noise)
-    unknown = jnp.full((1 + model.linear, 1 + model.linear), jnp.nan, here.dtype)
-    return Twist(*factors, here, ahead, log, log + gain, unknown, unknown[0, 0])
+def _unknown(model: Model, dtype: Any) -> Array:
+    return jnp.full((1 + model.linear, 1 + model.linear), jnp.nan, dtype)
 
 
 def log_evidence(twist: Twist, linear: Linear, theta: Array) -> Array:

@@ -1,6 +1,8 @@
 """A batch axis of independent items over devices."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -30,7 +32,44 @@ def several() -> Mesh | None:
     return mesh() if jax.device_count() > 1 else None
 
 
-def shards(fn: Callable[..., PyTree], over: Mesh | None = None, *, common: int = 0) -> Callable[..., PyTree]:
+@dataclass(frozen=True, eq=False)
+class Spread:
+    """A function spread over a batch, as `shards` makes it."""
+
+    fn: Callable[..., PyTree]
+    line: Mesh
+    common: int
+    step: Any
+    """The jitted program."""
+
+    def __call__(self, *args: PyTree) -> PyTree:
+        """Run it on whole batches; see `shards`."""
+        same, batch = args[: self.common], args[self.common :]
+        items = _items(batch)
+        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(batch)):
+            return _share(self.fn, same, batch)  # traced, for shapes or within another program: not laid on devices
+        whole, part = (NamedSharding(self.line, spec) for spec in (PartitionSpec(), PartitionSpec(AXIS)))
+        rows = np.minimum(np.arange(-(-items // self.line.size) * self.line.size), items - 1)
+        batch = jax.tree.map(lambda leaf: _place(leaf, rows, part), batch)
+        same = jax.tree.map(lambda leaf: _place(leaf, ..., whole), same)
+        found = self.step(same, batch)
+        return found if len(rows) == items else jax.tree.map(lambda leaf: leaf[:items], found)
+
+    def prepare(self, *args: PyTree) -> None:
+        """Compile for arguments of these shapes, so that a later call finds its program; from a thread, if wished.
+
+        Args:
+            args: as in a call; only shapes and dtypes are looked at, `jax.ShapeDtypeStruct` will do.
+        """
+        same, batch = args[: self.common], args[self.common :]
+        items = -(-_items(batch) // self.line.size) * self.line.size
+        whole, part = (NamedSharding(self.line, spec) for spec in (PartitionSpec(), PartitionSpec(AXIS)))
+        shapes = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype, sharding=whole), same)
+        many = jax.tree.map(lambda x: jax.ShapeDtypeStruct((items, *x.shape[1:]), x.dtype, sharding=part), batch)
+        self.step.lower(shapes, many).compile()
+
+
+def shards(fn: Callable[..., PyTree], over: Mesh | None = None, *, common: int = 0) -> Spread:
     """Spread a function over a batch, a share of it on each device.
 
     Args:
@@ -49,28 +88,22 @@ def shards(fn: Callable[..., PyTree], over: Mesh | None = None, *, common: int =
     """
     line = mesh() if over is None else over
     whole, part = PartitionSpec(), PartitionSpec(AXIS)
-
-    def share(same: tuple[PyTree, ...], items: tuple[PyTree, ...]) -> PyTree:
-        return jax.vmap(lambda *item: fn(*same, *item))(*items)
-
+    share = partial(_share, fn)
     # Shares are independent, and an estimator's scan starts from constants: nothing for the check to find.
     step = jax.jit(jax.shard_map(share, mesh=line, in_specs=(whole, part), out_specs=part, check_vma=False))
+    return Spread(fn, line, common, step)
 
-    def call(*args: PyTree) -> PyTree:
-        same, batch = args[:common], args[common:]
-        sizes = [np.shape(leaf)[:1] for leaf in jax.tree.leaves(batch)]
-        if len(set(sizes)) != 1 or () in sizes:
-            raise ValueError(f"batch: leading axes {sorted(set(sizes))}, expected one number of items on every leaf")
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(batch)):
-            return share(same, batch)  # traced, for shapes or within another program, that cannot be laid on devices
-        items = int(sizes[0][0])
-        rows = np.minimum(np.arange(-(-items // line.size) * line.size), items - 1)
-        batch = jax.tree.map(lambda leaf: _place(leaf, rows, NamedSharding(line, part)), batch)
-        same = jax.tree.map(lambda leaf: _place(leaf, ..., NamedSharding(line, whole)), same)
-        found = step(same, batch)
-        return found if len(rows) == items else jax.tree.map(lambda leaf: leaf[:items], found)
 
-    return call
+def _share(fn: Callable[..., PyTree], same: tuple[PyTree, ...], items: tuple[PyTree, ...]) -> PyTree:
+    return jax.vmap(lambda *item: fn(*same, *item))(*items)
+
+
+def _items(batch: PyTree) -> int:
+    """Return the number of items of a batch; raise ValueError where its leaves disagree."""
+    sizes = [np.shape(leaf)[:1] for leaf in jax.tree.leaves(batch)]
+    if len(set(sizes)) != 1 or () in sizes:
+        raise ValueError(f"batch: leading axes {sorted(set(sizes))}, expected one number of items on every leaf")
+    return int(sizes[0][0])
 
 
 def everywhere(tree: PyTree, over: Mesh | None = None) -> PyTree:
@@ -114,4 +147,4 @@ def gather(tree: PyTree) -> PyTree:
     return jax.tree.map(np.asarray, process_allgather(tree, tiled=True))
 
 
-__all__ = ["everywhere", "gather", "mesh", "several", "shards"]
+__all__ = ["Spread", "everywhere", "gather", "mesh", "several", "shards"]

@@ -4,13 +4,16 @@
 """
 
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache, partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.filters.run import full
 from jaxest.kinematics.robot import Robot
 from jaxest.mcmc import chains, kernel, particle_gibbs, particle_mh, twist
 from jaxest.mcmc.chains import Chains
@@ -60,7 +63,7 @@ def sampler(name: str, model: Model, count: int | None = None) -> Kernel:
 
 
 def tune(
-    model: Model, robot: Robot, prior: Prior, data: Data, *, key: Array, iterations: int = 200, rounds: int = 2
+    model: Model, robot: Robot, prior: Prior, data: Data, *, key: Array, iterations: int = 100, rounds: int = 2
 ) -> Params:
     """Check all input, find the most probable path, and tune the proposals.
 
@@ -91,6 +94,40 @@ def tune(
     return chains.warm_up(model, params, data, key=key, iterations=iterations, rounds=rounds, over=several())[0]
 
 
+def prepare(
+    name: str, model: Model, robot: Robot, prior: Prior, data: Data, *, count: int, iterations: int,
+    history: Any = full, particles: int | None = None,
+) -> Future[None]:  # fmt: skip
+    """Begin to compile a sampler in a thread; `tune` meanwhile.
+
+    Args:
+        name: one of `SAMPLERS`.
+        model: of `torque_model`.
+        robot: its parameters.
+        prior: the prior.
+        data: the series.
+        count: chains; static.
+        iterations: of one piece of the run; static.
+        history: as in `torque_posterior.advance`.
+        particles: number of particles, the sampler's own if None.
+
+    Returns:
+        Wait for its result before the run. On one device there is nothing to wait for.
+    """
+    kernel, over, wide = sampler(name, model, particles), several(), jax.config.jax_enable_x64  # type: ignore[attr-defined]
+
+    def compiled() -> None:
+        if over is not None and name in SPREAD:
+            with jax.enable_x64(wide):  # a thread has settings of its own
+                chains.prepare(kernel, model, robot, prior, data, count=count, iterations=iterations,
+                               history=history, over=over)  # fmt: skip
+
+    pool = ThreadPoolExecutor(1)
+    found = pool.submit(compiled)
+    pool.shutdown(wait=False)
+    return found
+
+
 def first_path(data: Data, prior: Prior, model: Model) -> NDArray[np.float64]:
     """Return a path (T, n) to start from: measured angles with gaps bridged, their differences, and nothing else."""
     value, valid = np.asarray(data.value), np.asarray(data.valid)
@@ -113,4 +150,4 @@ def start(model: Model, params: Params, data: Data, *, key: Array, count: int = 
     return chains.init(key, states)
 
 
-__all__ = ["SAMPLERS", "SPREAD", "first_path", "sampler", "start", "tune"]
+__all__ = ["SAMPLERS", "SPREAD", "first_path", "prepare", "sampler", "start", "tune"]

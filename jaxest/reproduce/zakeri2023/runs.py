@@ -61,7 +61,7 @@ def tuned(setting: str, seed: int, small: bool) -> Params:
     one = scene(setting, seed)
     with jax.enable_x64(True):
         model, key = torque_model.constant(7), jax.random.key(seed + 1000)
-        return torque_sampler.tune(model, robot(), one.prior, one.data, key=key, iterations=30 if small else 200)
+        return torque_sampler.tune(model, robot(), one.prior, one.data, key=key, iterations=30 if small else 100)
 
 
 @cache
@@ -88,17 +88,22 @@ def run(
     """
     begun = time.perf_counter()
     iterations = 24 if small else iterations
-    one, params = scene(setting, seed), tuned(setting, seed, small)
+    one, piece = scene(setting, seed), min(250, iterations)
     with jax.enable_x64(True):
         model = torque_model.constant(7)
+        program = torque_sampler.prepare(
+            sampler, model, robot(), one.prior, one.data, count=chains, iterations=piece, particles=count
+        )
+        params = tuned(setting, seed, small)
         start = torque_sampler.start(
             model, params, one.data, key=jax.random.key(seed + 2000), count=chains, spread=spread
         )
         kernel = torque_sampler.sampler(sampler, model, count)
         folder = None if work is None else work / f"{sampler}_{setting}_{seed}_{count}_{iterations}x{chains}_{spread:g}"
+        program.result()
         _, history = sample(
             torque_posterior.advance(kernel, params, one.data, spread=sampler in torque_sampler.SPREAD),
-            start, iterations, piece=min(250, iterations), folder=folder, identity=(params, one.data),
+            start, iterations, piece=piece, folder=folder, identity=(params, one.data),
             say=None if say is None else _prefixed(say, sampler),
         )  # fmt: skip
         posterior = torque_posterior.collect(model, history, has_path=sampler != "collapsed")
