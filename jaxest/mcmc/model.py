@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxest.distributions._words import words
 from jaxest.types import Array, PyTree
 
 
@@ -164,12 +165,21 @@ def log_weight(model: Model, data: Data, linear: Linear, unknown: Unknown, path:
 
 
 def normals(key: Array, *shape: int) -> Array:
-    """Draw standard normal numbers of float32's resolution, which no chain can tell, as float64.
+    """Draw standard normal numbers as float64, of float32's resolution and no larger than 5.3, which no chain can tell.
 
-    A particle filter draws a million at a time; float64's own take five times as long. Flat, since XLA on CPU compiles
-    a draw of several axes for 7 s, and so for 0.4.
+    A particle filter draws a million at a time; float64's own take four times as long.
     """
-    return jax.random.normal(key, (math.prod(shape),), jnp.float32).astype(jnp.float64).reshape(shape)
+    size = math.prod(shape)
+    bits = words(key, (2, (size + 1) // 2))
+    # A loop of two keeps XLA from fusing it with what follows, whose short rows would hinder vector instructions.
+    drawn = jax.lax.map(_normal, bits).reshape(-1)[:size]
+    return drawn.astype(jnp.float64).reshape(shape)
+
+
+def _normal(bits: Array) -> Array:
+    """The middles of 2^23 equal parts of (-1, 1), to normal numbers."""
+    middle = ((bits >> 9).astype(jnp.float32) + 0.5) * 2.0**-22 - 1
+    return math.sqrt(2) * jax.lax.erf_inv(middle)
 
 
 __all__ = [

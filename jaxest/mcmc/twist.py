@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import solve_triangular
 
 from jaxest.filters.kalman.gaussian import product
@@ -54,29 +55,17 @@ class Collapsed(NamedTuple):
     """() of the variances, theta integrated out (flat, without the box)."""
 
 
-def _rows(model: Model, linear: Linear, data: Data) -> Array:
-    """Rows (T, m, k) that z multiplies to give what is predicted minus what is measured."""
-    t, n = linear.path.shape
-    k = n + 1 + model.linear
-    at = jnp.asarray(model.observed)
-    rows = jnp.zeros((t, len(model.observed), k), linear.path.dtype)
-    rows = rows.at[:, jnp.arange(len(model.observed)), at].set(1)
-    return rows.at[:, :, n].set(linear.path[:, at] - data.value)
-
-
 def _noises(model: Model, prior: Prior, variances: Array, steps: int) -> Array:
     """Variances (T, n) of each state's noise; that of the first is its prior's."""
     process = jnp.broadcast_to(variances[None, : model.size], (steps - 1, model.size))
     return jnp.concatenate([prior.variance[None], process])
 
 
-def _links(model: Model, linear: Linear) -> Array:
-    """Matrices (T, k, k) that take z of the state before to z of a state's prediction."""
-    t, n = linear.path.shape
-    p = model.linear
-    below = jnp.broadcast_to(jnp.eye(1 + p, n + 1 + p, n, dtype=linear.path.dtype)[None], (t, 1 + p, n + 1 + p))
-    top = jnp.concatenate([linear.jacobian, linear.offset[:, :, None], linear.design], axis=2)
-    return jnp.concatenate([top, below], axis=1)
+def _carried(a: Array, top: Array) -> Array:
+    """Return J' A J (k, k) for J (k, k) with rows `top` (n, k) above those of the identity, which are left out."""
+    n = len(top)
+    half = product(a[:, :n], top).at[:, n:].add(a[:, n:])
+    return product(top.T, half[:n]).at[n:].add(half[n:])
 
 
 def _eliminate(a: Array, noise: Array) -> tuple[tuple[Array, Array, Array], Array, Array]:
@@ -91,11 +80,17 @@ def _eliminate(a: Array, noise: Array) -> tuple[tuple[Array, Array, Array], Arra
 
 def _measured(model: Model, linear: Linear, data: Data, variances: Array) -> tuple[Array, Array]:
     """A (T, k, k) of each measurement alone, and the logarithm (T,)."""
-    rows = _rows(model, linear, data)
+    t, n = linear.path.shape
+    k = n + 1 + model.linear
+    at = np.asarray(model.observed)
     r = variances[None, model.size :]
     weight = jnp.where(data.valid, 1 / r, 0)
+    away = linear.path[:, at] - data.value
+    cross = weight * away
+    a = jnp.zeros((t, k, k), linear.path.dtype).at[:, at, at].set(weight)
+    a = a.at[:, at, n].set(cross).at[:, n, at].set(cross).at[:, n, n].set(jnp.sum(cross * away, axis=1))
     log = -jnp.sum(jnp.where(data.valid, jnp.log(2 * jnp.pi * r), 0), axis=1) / 2
-    return jnp.einsum("tma,tm,tmb->tab", rows, weight, rows), log
+    return a, log
 
 
 def backward(model: Model, prior: Prior, data: Data, linear: Linear, variances: Array, whole: bool = False) -> Twist:
@@ -118,16 +113,17 @@ def backward(model: Model, prior: Prior, data: Data, linear: Linear, variances: 
 
     def retreat(carry: tuple[Array, Array], now: Any) -> tuple[Any, Any]:
         a, log = carry
-        of_data, of_data_log, noise, link = now
+        of_data, of_data_log, noise, top = now
         here, here_log = a + of_data, log + of_data_log
         factors, ahead, gain = _eliminate(here, noise)
         ahead_log = here_log + gain
         kept = (here, ahead) if whole else (None, None)
-        return (product(product(link.T, ahead), link), ahead_log), (*factors, *kept, here_log, ahead_log)
+        return (_carried(ahead, top), ahead_log), (*factors, *kept, here_log, ahead_log)
 
     k = n + 1 + model.linear
     start = (jnp.zeros((k, k), linear.path.dtype), jnp.zeros((), linear.path.dtype))
-    xs = (measured, measured_log, noise, _links(model, linear))
+    top = jnp.concatenate([linear.jacobian, linear.offset[:, :, None], linear.design], axis=2)
+    xs = (measured, measured_log, noise, top)
     (last, log), rows = jax.lax.scan(retreat, start, xs, reverse=True)
     return Twist._make((*rows, last[n:, n:], log))
 

@@ -41,7 +41,6 @@ SPREAD = ("gibbs", "mh", "collapsed")
 processor (JAX 0.10, two cores), and run as one program."""
 
 
-@cache
 def sampler(name: str, model: Model, count: int | None = None) -> Kernel:
     """Return a sampler, the same object for the same arguments.
 
@@ -58,6 +57,11 @@ def sampler(name: str, model: Model, count: int | None = None) -> Kernel:
     """
     if name not in SAMPLERS:
         raise unknown_name("sampler", name, SAMPLERS)
+    return _sampler(name, model, count)
+
+
+@cache
+def _sampler(name: str, model: Model, count: int | None) -> Kernel:
     options: dict[str, Any] = {} if count is None else {"count": count}
     return SAMPLERS[name](model, **options)
 
