@@ -64,16 +64,16 @@ def _noises(model: Model, prior: Prior, variances: Array, steps: int) -> Array:
 def _carried(a: Array, top: Array) -> Array:
     """Return J' A J (k, k) for J (k, k) with rows `top` (n, k) above those of the identity, which are left out."""
     n = len(top)
-    half = product(a[:, :n], top).at[:, n:].add(a[:, n:])
-    return product(top.T, half[:n]).at[n:].add(half[n:])
+    half = product(a[:, :n], top) + jnp.pad(a[:, n:], ((0, 0), (n, 0)))
+    return product(top.T, half[:n]) + jnp.pad(half[n:], ((n, 0), (0, 0)))
 
 
 def _eliminate(a: Array, noise: Array) -> tuple[tuple[Array, Array, Array], Array, Array]:
     """Integrate over a state's noise (n,): root, inverse and link, A at the prediction, and the log of the integral."""
     n = noise.shape[0]
-    root = jnp.linalg.cholesky(a[:n, :n] + jnp.diag(1 / noise))
-    both = solve_triangular(root, jnp.concatenate([jnp.eye(n, dtype=a.dtype), a[:n]], axis=1), lower=True)
-    inverse, link = both[:, :n], both[:, n:]
+    root = jax.lax.linalg.cholesky(a[:n, :n] + jnp.diag(1 / noise), symmetrize_input=False)
+    inverse = solve_triangular(root, jnp.eye(n, dtype=a.dtype), lower=True)
+    link = product(inverse, a[:n])
     log = -jnp.sum(jnp.log(noise)) / 2 - jnp.sum(jnp.log(jnp.diagonal(root)))
     return (root, inverse, link), a - product(link.T, link), log
 
