@@ -85,7 +85,7 @@ def problem(small: bool, piece: int | None = None) -> Case:
     program = None
     if piece is not None:
         program = torque_sampler.prepare("gibbs", model, robot, scene.prior, scene.data, count=CHAINS, iterations=piece)
-    params = torque_sampler.tune(model, robot, scene.prior, scene.data, key=key, iterations=12 if small else 100)
+    params = torque_sampler.tune(model, robot, scene.prior, scene.data, key=key, iterations=12 if small else 200)
     starts = torque_sampler.start(model, params, scene.data, key=jax.random.key(1), count=CHAINS)
     if program is not None:
         program.result()
@@ -121,7 +121,7 @@ def _peers(case: Case, progress: Progress, small: bool) -> dict[str, Draws | str
     model = compile_model(models.path("baxter_left_arm"))
     problem = torque_peers.problem(model, case.scene.data, case.scene.prior)
     starts = jax.tree.map(np.asarray, case.starts.chain)
-    count = 20 if small else 1000
+    count = 20 if small else 2000
     short = {name: 8 if small else size for name, size in SHORT.items()}
     progress("the paper's sampler in NumPy")
     found: dict[str, Draws | str] = {
@@ -159,7 +159,7 @@ def _beside(metric: str, condition: str, ours: Draws, at: int, peers: dict[str, 
 
 def _bootstrap(case: Case, peers: bool, small: bool) -> Row:
     """Time an iteration of the paper's sampler as we have it: one chain, whose particles XLA spreads over the cores."""
-    count, iterations = 20 if small else 1000, 2
+    count, iterations = 20 if small else 2000, 2
     kernel = torque_sampler.sampler("gibbs_bootstrap", case.model, count)
     alone = jax.tree.map(lambda x: x[:1], case.starts.chain)
     start = many.Chains(alone, case.starts.key[:1], case.starts.index)

@@ -10,7 +10,7 @@ from jax.sharding import Mesh
 
 from jaxest.filters.run import full, run
 from jaxest.mcmc.kernel import collapsed, draw_theta, log_density
-from jaxest.mcmc.laplace import fit
+from jaxest.mcmc.laplace import climb
 from jaxest.mcmc.model import Data, Linear, Model, Prior, Unknown, linearize, normals
 from jaxest.mcmc.state import Info, Kernel, Params, State, Tuning, chosen, coordinates
 from jaxest.mcmc.twist import backward, collapse, draw, fit_path, flow
@@ -202,13 +202,12 @@ def _tuning(model: Model, prior: Prior, data: Data, linear: Linear, centre: Arra
 
 
 def warm_up(
-    model: Model, params: Params, data: Data, *, key: Array, count: int = 4, iterations: int = 100, rounds: int = 2,
+    model: Model, params: Params, data: Data, *, key: Array, count: int = 4, iterations: int = 200, rounds: int = 2,
     over: Mesh | None = None,
 ) -> tuple[Params, Chains, Info]:  # fmt: skip
     """Find the tuning: Gibbs chains of the linear model from dispersed starts, linearised anew after each round.
 
-    So few draws tell where the variances lie, not how they go together: the proposals' density is that of the mode and
-    the curvature of the linear model's density there, and proposals draw all of z anew.
+    Needs no mode, but so few draws tell where the variances lie better than how they go together; see `settle`.
 
     Args:
         model: the model.
@@ -234,18 +233,43 @@ def warm_up(
         chains, history = (chains._replace(chain=_here(chains.chain)), _here(history)) if over else (chains, history)
         params = params._replace(tuning=_refit(model, params, data, history, iterations // 3))
     assert history is not None
-    return params._replace(tuning=_curved(model, params, data)), chains, history
+    return params, chains, history
+
+
+def settle(model: Model, params: Params, data: Data, rounds: int = 2) -> tuple[Params, bool]:
+    """Find the tuning without drawing anything: the mode and the curvature of the linear model's density of variances.
+
+    Args:
+        model: the model.
+        params: parameters, tuned as `untuned` does.
+        data: the series.
+        rounds: how often the mode is sought, the model linearised anew in between; static.
+
+    Returns:
+        Parameters with the tuning found, and whether there was a mode to find; `warm_up` does without.
+    """
+    for i in range(rounds):
+        tuning, found = _curved(model, params, data)
+        if not found:
+            return params, False
+        linear = tuning.linear
+        if i < rounds - 1:
+            first = Unknown(jnp.clip(linear.centre, params.prior.low, params.prior.high), tuning.centre**-3)
+            linear = fit_path(model, params.model, params.prior, data, first, linear.path, 4)
+            scale = jnp.diag(jnp.sqrt(jnp.sum(tuning.root**2, axis=1)))
+            params = params._replace(tuning=tuning._replace(linear=linear, root=scale))
+    final = _tuning(model, params.prior, data, linear, tuning.centre, tuning.root)
+    return params._replace(tuning=final._replace(stride=tuning.stride)), True
 
 
 @partial(jax.jit, static_argnums=0)
-def _curved(model: Model, params: Params, data: Data) -> Tuning:
-    """Take the proposals' density from the curvature at its centre, unless there is none to be had."""
+def _curved(model: Model, params: Params, data: Data) -> tuple[Tuning, Array]:
+    """Take the proposals' density from the curvature at the mode; proposals then draw all of z anew."""
     tuning = params.tuning
     scale = jnp.sqrt(jnp.sum(tuning.root**2, axis=1))
-    found = fit(partial(log_density, model, params, data), tuning.centre, scale)
-    better = found.good & jnp.all(found.mean > 0)
+    found = climb(partial(log_density, model, params, data), tuning.centre, scale)
     new = tuning._replace(centre=found.mean, root=found.root, stride=jnp.ones_like(tuning.stride))
-    return chosen(better, new, tuning)
+    return chosen(found.good, new, tuning), found.good
 
 
 def _here(tree: PyTree) -> PyTree:
@@ -273,4 +297,4 @@ def _fitted(prior: Prior, drawn: Unknown, discard: int) -> tuple[Unknown, Array]
     return Unknown(theta, centre**-3), jnp.linalg.cholesky(covariance)
 
 
-__all__ = ["Chains", "advance", "dispersed", "init", "prepare", "step", "untuned", "warm_up"]
+__all__ = ["Chains", "advance", "dispersed", "init", "prepare", "settle", "step", "untuned", "warm_up"]

@@ -1,21 +1,16 @@
-"""The normal density that fits another one at its mode: Laplace's approximation by finite differences.
-
-A quadratic is all that is asked of the density, so that differences over a tenth of its width lose a few digits of
-float64's sixteen, and nothing has to be differentiated, which would compile for longer than this takes to run.
-"""
+"""The normal density that fits another one at its mode (Laplace), found by Newton's method."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxest.filters.kalman.gaussian import product
 from jaxest.types import Array
 
-_STEP = 0.1  # of the scale
-_FAR = 3.0  # scales that the mode may lie away from the start: farther, the density is no quadratic there
+_STEP = 0.1  # of the scale, to either side: differences of exact slopes, so that few digits are lost
+_NEAR = 0.5  # standard deviations between two places that have the same curvature
 
 
 class Normal(NamedTuple):
@@ -26,40 +21,66 @@ class Normal(NamedTuple):
     root: Array
     """(d, d) lower triangular root of the covariance."""
     good: Array
-    """() bool; False where the density is not curved downwards or its mode lies far off: do not use the others."""
+    """() bool; False where the density is not curved downwards: do not use the others."""
 
 
 def fit(log_density: Callable[[Array], Array], start: Array, scale: Array) -> Normal:
     """Take one Newton step towards the mode, with the curvature at the start.
 
     Args:
-        log_density: `(d,) -> ()`, up to a constant.
+        log_density: `(d,) -> ()`, up to a constant; differentiable.
         start: (d,) where most of the density is.
         scale: (d,) about its standard deviations.
 
     Returns:
-        The normal density of that mode and curvature.
+        The normal density of that curvature, and of the mode that it tells.
     """
     d = len(start)
-    steps = _STEP * scale
-    first, second = np.triu_indices(d, 1)
-    eye = jnp.eye(d, dtype=start.dtype)
-    away = jnp.concatenate([jnp.zeros((1, d), start.dtype), eye, eye[first] + eye[second]])
-    away = jnp.stack([away, -away], axis=1) * steps[None, None]
-    values = jax.lax.map(lambda x: jax.lax.map(log_density, start[None] + x), away)
-    both = jnp.sum(values, axis=1) - 2 * values[0, 0]  # f(x) + f(-x) - 2 f(0)
-    own, pairs = both[1 : d + 1], both[d + 1 :]
-    mixed = (pairs - own[first] - own[second]) / 2
-    half = jnp.zeros((d, d), start.dtype).at[first, second].set(mixed)
-    # In units of the steps, which puts all entries at one size.
-    information = -(half + half.T + jnp.diag(own))
-    slope = (values[1 : d + 1, 0] - values[1 : d + 1, 1]) / 2
+    away = _STEP * jnp.diag(scale)
+    # One slope after the other: the second derivative would compile for longer than all of them take.
+    places = start[None] + jnp.concatenate([jnp.zeros((1, d), start.dtype), away, -away])
+    slopes = jax.lax.map(jax.grad(log_density), places)
+    bend = (slopes[d + 1 :] - slopes[1 : d + 1]) / (2 * _STEP)
+    information = scale[None] * (bend + (bend * scale[None] / scale[:, None]).T) / 2  # in units of the scales
     covariance = jnp.linalg.inv(information)
-    moved = product(covariance, slope) * steps
-    root = jnp.linalg.cholesky((covariance + covariance.T) / 2) * steps[:, None]
+    root = scale[:, None] * jnp.linalg.cholesky(covariance)
+    moved = scale * product(covariance, scale * slopes[0])
     downwards = jnp.all(jnp.isfinite(jnp.linalg.cholesky(information)))
-    good = downwards & jnp.all(jnp.isfinite(root)) & jnp.all(jnp.abs(moved) < _FAR * scale)
+    good = downwards & jnp.all(jnp.isfinite(root)) & jnp.all(jnp.isfinite(moved))
     return Normal(start + moved, root, good)
 
 
-__all__ = ["Normal", "fit"]
+def climb(log_density: Callable[[Array], Array], start: Array, scale: Array, steps: int = 20) -> Normal:
+    """Fit again and again, until the mode is about where the curvature was taken.
+
+    Args:
+        log_density: as in `fit`, of positive coordinates.
+        start: (d,) positive.
+        scale: (d,) how far the first step may go.
+        steps: fits at most; static.
+
+    Returns:
+        The normal density; `good` only where the mode was found.
+    """
+
+    def going(now: tuple[Array, Normal]) -> Array:
+        return (now[0] < steps) & ~now[1].good
+
+    def step(now: tuple[Array, Normal]) -> tuple[Array, Normal]:
+        count, before = now
+        reach = jnp.sqrt(jnp.sum(before.root**2, axis=1))
+        found = fit(log_density, before.mean, reach)
+        width = jnp.where(found.good, jnp.sqrt(jnp.sum(found.root**2, axis=1)), reach)
+        moved = jnp.where(jnp.isfinite(found.mean), found.mean - before.mean, 0)
+        near = found.good & jnp.all(jnp.abs(moved) < _NEAR * width) & jnp.all(found.mean > 0)
+        # Far from the mode a step goes no farther than a deviation or a third of the way to 0.
+        most = jnp.minimum(jnp.maximum(reach, width), before.mean / 3)
+        mean = before.mean + jnp.where(near, moved, jnp.clip(moved, -most, most))
+        root = jnp.where(found.good, found.root, before.root)
+        return count + 1, Normal(mean, root, near)
+
+    first = Normal(start, jnp.diag(scale), jnp.zeros((), bool))
+    return jax.lax.while_loop(going, step, (jnp.zeros((), jnp.int32), first))[1]
+
+
+__all__ = ["Normal", "climb", "fit"]

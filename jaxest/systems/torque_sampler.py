@@ -67,7 +67,7 @@ def _sampler(name: str, model: Model, count: int | None) -> Kernel:
 
 
 def tune(
-    model: Model, robot: Robot, prior: Prior, data: Data, *, key: Array, iterations: int = 100, rounds: int = 2
+    model: Model, robot: Robot, prior: Prior, data: Data, *, key: Array, iterations: int = 200, rounds: int = 2
 ) -> Params:
     """Check all input, find the most probable path, and tune the proposals.
 
@@ -76,8 +76,8 @@ def tune(
         robot: its parameters.
         prior: the prior.
         data: the series.
-        key: random key.
-        iterations: of each round of the warm-up.
+        key: random key, of the warm-up.
+        iterations: of each round of the warm-up, which there is only where the variances' density has no clear mode.
         rounds: of the warm-up.
 
     Returns:
@@ -95,6 +95,9 @@ def tune(
     tuning = chains.untuned(model, robot, prior, data, path, centre)
     check_series(model, robot, data, tuning.linear)
     params = Params(robot, prior, tuning)
+    params, settled = chains.settle(model, params, data)
+    if settled:
+        return params
     return chains.warm_up(model, params, data, key=key, iterations=iterations, rounds=rounds, over=several())[0]
 
 

@@ -125,7 +125,7 @@ def _draw(robot: Any, series: Series, request: Request, kind: str) -> Drawn:
     prior = _prior(series, settings, walks, segments)
     key = jax.random.key(settings.get("seed", 0))
     request.say("the most probable motion, and warm-up")
-    params = torque_sampler.tune(model, robot, prior, data, key=key, iterations=60 if walks else 100)
+    params = torque_sampler.tune(model, robot, prior, data, key=key, iterations=60 if walks else 200)
     start = torque_sampler.start(model, params, data, key=jax.random.fold_in(key, 1), count=CHAINS, spread=0.7)
     kernel = torque_sampler.sampler(sampler, model)
     go = torque_posterior.advance(kernel, params, data, _keep(2 * n))

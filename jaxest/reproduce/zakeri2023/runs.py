@@ -61,7 +61,7 @@ def tuned(setting: str, seed: int, small: bool) -> Params:
     one = scene(setting, seed)
     with jax.enable_x64(True):
         model, key = torque_model.constant(7), jax.random.key(seed + 1000)
-        return torque_sampler.tune(model, robot(), one.prior, one.data, key=key, iterations=30 if small else 100)
+        return torque_sampler.tune(model, robot(), one.prior, one.data, key=key, iterations=30 if small else 200)
 
 
 @cache
