@@ -9,7 +9,7 @@ Not here: accuracy, which is tested in `tests/` and measured on recordings by th
 
 import importlib
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from jaxest.types import InputError, unknown_name
 
@@ -45,6 +45,7 @@ def rows(
     progress: Callable[[str], None] | None = None,
     small: bool = False,
     robots: Sequence[str] = (),
+    peer_seconds: float | None = None,
 ) -> Iterable["Row"]:
     """Run one case.
 
@@ -54,6 +55,7 @@ def rows(
         progress: hears what is being measured.
         small: sizes that a test can afford; the figures mean nothing then.
         robots: MJCF or URDF files to measure beside the packaged ones, where the case is about robots.
+        peer_seconds: how long each other program runs, where the case is about samplers.
 
     Returns:
         The rows, one at a time as they are measured.
@@ -65,8 +67,11 @@ def rows(
         raise unknown_name("benchmark", name, CASES)
     if robots and name not in ("dynamics", "inverse_kinematics", "kinematics"):
         raise InputError(f"benchmark {name!r} is not about robots, got {', '.join(robots)}")
+    if peer_seconds is not None and name != "torque":
+        raise InputError(f"benchmark {name!r} runs no sampler for a given time, got {peer_seconds:g} s")
     module = importlib.import_module(CASES[name])
-    options = {"robots": tuple(robots)} if robots else {}
+    options: dict[str, Any] = {"robots": tuple(robots)} if robots else {}
+    options |= {} if peer_seconds is None else {"seconds": peer_seconds}
     return module.rows(peers=peers, progress=progress or (lambda message: None), small=small, **options)
 
 

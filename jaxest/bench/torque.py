@@ -2,7 +2,7 @@
 
 Effective draws are those of four chains from dispersed starts, bulk, the least of the parameters; the first quarter is
 discarded, and compilation and warm-up are not in their seconds. A chain that stands still has about one effective draw
-however long it runs, so that a short run of a frozen sampler flatters it.
+however long it runs: a short run of a frozen sampler flatters it, what it draws in a second falls as it goes on.
 """
 
 import time
@@ -25,8 +25,8 @@ from jaxest.systems import torque_model, torque_posterior, torque_sampler, torqu
 
 CHAINS, ITERATIONS = 4, 2500
 """The paper's 10000 iterations, in four chains."""
-SHORT = {"paper": 16, "particles": 8, "nuts": 150}
-"""Iterations of a peer's chains."""
+SECONDS, PIECE = 30.0, 150
+"""How long each peer runs if nothing is said, and how many iterations of NUTS in a row."""
 OURS = "guided particle Gibbs, N = 16"
 
 
@@ -41,7 +41,7 @@ class Case(NamedTuple):
     """`Chains`"""
 
 
-def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Row]:
+def rows(*, peers: bool, progress: Progress, small: bool = False, seconds: float = SECONDS) -> Iterable[Row]:
     """Run Zakeri 2023's problem in the paper-like setting, in float64 on all devices, and time what is in it.
 
     Args:
@@ -50,10 +50,11 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
             `mujoco.rollout`.
         progress: hears what is being measured.
         small: a few iterations.
+        seconds: how long each of the other samplers runs.
 
     Yields:
-        Seconds of the paper's run, compilation and warm-up included; effective draws a second of torques and of
-        variances; the time of an iteration of our bootstrap particle Gibbs sampler.
+        Seconds of the paper's run, compilation and warm-up included; effective draws a second of torques, of variances
+        and of the path at its slowest time; the time of an iteration of our bootstrap particle Gibbs sampler.
     """
     with jax.enable_x64(True):
         progress("data, linearisation and warm-up")
@@ -66,8 +67,8 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
         condition = f"{CHAINS} chains of {iterations}, {OURS}, {jax.device_count()} devices"
         yield Row("the paper's run", f"{condition}, compilation and warm-up included", whole, "s")
         yield Row("R-hat, largest", condition, r_hat, "1")
-        found = _peers(case, progress, small) if peers else {}
-        for name, at in (("torques", 0), ("variances", 1)):
+        found = _peers(case, progress, 0.0 if small else seconds, small) if peers else {}
+        for name, at in (("torques", 0), ("variances", 1), ("the path", 2)):
             what = f"{name}, {OURS}"
             yield from _beside(f"effective draws of {name}", what, ours, at, found)
         progress("iterations of the bootstrap sampler")
@@ -106,37 +107,37 @@ def _ours(case: Case, iterations: int) -> tuple[Draws, float]:
     found = torque_posterior.collect(case.model, history)
     r_hat = max(one.r_hat for one in found.summaries.values())
     # The first piece is the discarded quarter.
-    return Draws(found.theta, found.variances, sum(seconds[1:])), r_hat
+    probe = np.swapaxes(history.probe[piece:], 0, 1)
+    return Draws(found.theta, found.variances, probe, sum(seconds[1:])), r_hat
 
 
 def rate(found: Draws, at: int, discard: float) -> float:
-    """Return the least effective draws a second of torques (`at` 0) or variances (1), after a share is discarded."""
-    x = (found.theta, found.variances)[at]
+    """Return the least effective draws a second of torques (`at` 0), variances (1) or path (2), a share discarded."""
+    x = found[at]
     kept = x[:, int(discard * x.shape[1]) :]
     return min(effective(kept[:, :, i]) for i in range(kept.shape[2])) / (found.seconds * (1 - discard))
 
 
-def _peers(case: Case, progress: Progress, small: bool) -> dict[str, Draws | str]:
+def _peers(case: Case, progress: Progress, seconds: float, small: bool) -> dict[str, Draws | str]:
     """What other samplers draw from the same starts, or the package that is not installed."""
     model = compile_model(models.path("baxter_left_arm"))
     problem = torque_peers.problem(model, case.scene.data, case.scene.prior)
     starts = jax.tree.map(np.asarray, case.starts.chain)
     count = 20 if small else 2000
-    short = {name: 8 if small else size for name, size in SHORT.items()}
     progress("the paper's sampler in NumPy")
     found: dict[str, Draws | str] = {
-        f"the paper's sampler, N = {count}, in NumPy": torque_peers.paper(problem, starts, short["paper"], count)
+        f"the paper's sampler, N = {count}, in NumPy": torque_peers.paper(problem, starts, seconds, count)
     }
     mcmc = find_peer("particles.mcmc")
     progress("particles' Gibbs sampler")
     found[f"particles' Gibbs sampler, N = {count}"] = (
-        torque_peers.particles_gibbs(mcmc, problem, starts, short["particles"], count) if mcmc else "particles"
+        torque_peers.particles_gibbs(mcmc, problem, starts, seconds, count) if mcmc else "particles"
     )
     blackjax = find_peer("blackjax")
     progress("blackjax' NUTS")
     found["blackjax' NUTS on the linear model's likelihood"] = (
         torque_peers.nuts(
-            blackjax, case.model, case.params, case.scene.data, case.starts.chain, short["nuts"], short["nuts"]
+            blackjax, case.model, case.params, case.scene.data, case.starts.chain, 8 if small else PIECE, seconds
         )
         if blackjax
         else "blackjax"
@@ -149,12 +150,15 @@ def _beside(metric: str, condition: str, ours: Draws, at: int, peers: dict[str, 
     if not peers:
         yield Row(metric, condition, value, "1/s")
     for name, found in peers.items():
+        if not isinstance(found, str) and not found[at].shape[-1]:
+            continue
         row = Row(metric, condition, value, "1/s", n=ours.theta.shape[0] * ours.theta.shape[1])
         if isinstance(found, str):
             yield row._replace(reference_name=f"{found} is not installed: pip install --no-deps {found}")
             continue
         theirs = rate(found, at, 0.25)
-        yield row._replace(reference=theirs, reference_name=name, ratio=value / theirs)
+        length = f"{name}, {found.theta.shape[0]} x {found.theta.shape[1]} iterations"
+        yield row._replace(reference=theirs, reference_name=length, ratio=value / theirs)
 
 
 def _bootstrap(case: Case, peers: bool, small: bool) -> Row:
@@ -188,4 +192,4 @@ def _subject(case: Case, count: int) -> Subject:
     return Subject("baxter_left_arm", source, case.robot, model, None, q, 0 * q, tau)
 
 
-__all__ = ["CHAINS", "ITERATIONS", "SHORT", "rate", "rows"]
+__all__ = ["CHAINS", "ITERATIONS", "SECONDS", "rate", "rows"]

@@ -22,6 +22,7 @@ from jaxest.parallel import several, shards
 
 Rows = NDArray[np.float64]
 THREADS = 2
+LEAST = 8  # iterations whose chains can still be split
 
 
 class Draws(NamedTuple):
@@ -31,6 +32,8 @@ class Draws(NamedTuple):
     """(C, S, n) N m"""
     variances: Rows
     """(C, S, 3 n)"""
+    path: Rows
+    """(C, S, T) sum of the angles at each time, by which the path is judged; T = 0 where there is none"""
     seconds: float
     """that the S iterations of all chains took, compilation and warm-up left out"""
 
@@ -91,32 +94,30 @@ def ahead(given: Problem, x: Rows, tau: Rows) -> Rows:
     return np.concatenate([x[:, :n] + h * x[:, n:], x[:, n:] + h * given.accelerations(x, tau)], axis=1)
 
 
-def paper(given: Problem, starts: Any, iterations: int, count: int = 1000, seed: int = 0) -> Draws:
-    """Run the paper's particle Gibbs sampler, chain after chain.
+def paper(given: Problem, starts: Any, seconds: float, count: int = 1000, seed: int = 0) -> Draws:
+    """Run the paper's particle Gibbs sampler, all chains in turn.
 
     Args:
         given: the posterior.
         starts: states of the chains, as `mcmc.chains` has them.
-        iterations: S of each.
+        seconds: how long; at least 8 iterations are made.
         count: N, particles.
         seed: of the random numbers.
 
     Source: Zakeri 2023, section 4; eq. 25 with the S2^-1 that it omits.
     """
     random = np.random.default_rng(seed)
-    thetas, variances = [], []
+    chains = range(len(starts.path))
+    now = [tuple(np.asarray(x[chain]) for x in (starts.path, *starts.unknown)) for chain in chains]
+    kept: list[Any] = []
     begun = time.perf_counter()
-    for chain in range(len(starts.path)):
-        path = np.asarray(starts.path[chain])
-        tau, s = (np.asarray(x[chain]) for x in starts.unknown)
-        for _ in range(iterations):
+    while len(kept) < LEAST or time.perf_counter() - begun < seconds:
+        for chain, (path, tau, s) in enumerate(now):
             path = _conditional(random, given, path, tau, s, count)
-            tau, s = unknowns(random, given, path, tau, s)
-            thetas.append(tau)
-            variances.append(s)
+            now[chain] = (path, *unknowns(random, given, path, tau, s))
+        kept.append([(tau, s, path[:, : given.model.nv].sum(axis=1)) for path, tau, s in now])
     took = time.perf_counter() - begun
-    shape = (len(starts.path), iterations, -1)
-    return Draws(np.reshape(thetas, shape), np.reshape(variances, shape), took)
+    return Draws(*(np.array([[one[k] for one in rows] for rows in kept]).swapaxes(0, 1) for k in range(3)), took)
 
 
 def _conditional(random: np.random.Generator, given: Problem, path: Rows, tau: Rows, s: Rows, count: int) -> Rows:
@@ -176,20 +177,21 @@ def unknowns(random: np.random.Generator, given: Problem, path: Rows, tau: Rows,
     return found, (prior.beta + squares / 2) / random.gamma(prior.alpha + counts / 2)
 
 
-def particles_gibbs(mcmc: Any, given: Problem, starts: Any, iterations: int, count: int = 1000) -> Draws:
+def particles_gibbs(mcmc: Any, given: Problem, starts: Any, seconds: float, count: int = 1000) -> Draws:
     """Run the Gibbs sampler of the package `particles`, chain after chain.
 
     Args:
         mcmc: the module `particles.mcmc`.
         given: the posterior.
         starts: states of the chains; only torques and variances can be given to it.
-        iterations: S of each.
+        seconds: how long; 8 iterations of the first chain tell how many are made.
         count: N, particles.
     """
     distributions: Any = importlib.import_module("particles.distributions")
     base: Any = importlib.import_module("particles.state_space_models").StateSpaceModel
     n = given.value.shape[1]
     random = np.random.default_rng(0)
+    paths: list[Rows] = []
 
     class Arm(base):
         def PX0(self) -> Any:
@@ -205,24 +207,32 @@ def particles_gibbs(mcmc: Any, given: Problem, starts: Any, iterations: int, cou
         def update_theta(self, theta: Any, x: Any) -> Any:
             new = theta.copy()
             new["tau"], new["s"] = unknowns(random, given, np.array(x), theta["tau"], theta["s"])
+            paths.append(np.array(x)[:, :n].sum(axis=1))
             return new
 
     kind = np.dtype([("tau", float, (n,)), ("s", float, (3 * n,))])
-    thetas, variances = [], []
-    begun = time.perf_counter()
-    for chain in range(len(starts.path)):
+
+    def run(chain: int, iterations: int) -> tuple[Rows, Rows, Rows]:
         theta = np.zeros((), kind)
         theta["tau"], theta["s"] = (np.asarray(x[chain]) for x in starts.unknown)
-        run = Gibbs(niter=iterations, ssm_cls=Arm, prior=SimpleNamespace(dtype=kind), data=list(given.value),
+        paths.clear()
+        one = Gibbs(niter=iterations, ssm_cls=Arm, prior=SimpleNamespace(dtype=kind), data=list(given.value),
                     theta0=theta, Nx=count)  # fmt: skip
-        run.run()
-        thetas.append(run.chain.theta["tau"])
-        variances.append(run.chain.theta["s"])
+        one.run()
+        return one.chain.theta["tau"], one.chain.theta["s"], np.array(paths[-iterations:])
+
+    begun = time.perf_counter()
+    run(0, LEAST)
+    chains = len(starts.path)
+    iterations = max(int(seconds / chains / ((time.perf_counter() - begun) / LEAST)), LEAST)
+    begun = time.perf_counter()
+    kept = [run(chain, iterations) for chain in range(chains)]
     took = time.perf_counter() - begun
-    return Draws(np.stack(thetas), np.stack(variances), took)
+    size = min(len(one[2]) for one in kept)  # its first iteration may draw no parameters
+    return Draws(*(np.stack([one[k][-size:] for one in kept]) for k in range(3)), took)
 
 
-def nuts(blackjax: Any, model: Model, params: Params, data: Data, starts: Any, warm: int, iterations: int) -> Draws:
+def nuts(blackjax: Any, model: Model, params: Params, data: Data, starts: Any, piece: int, seconds: float) -> Draws:
     """Run `blackjax`' NUTS on the likelihood of the linear model, the chains spread over all devices as ours are.
 
     Torques are scaled by the warm-up's root and variances are logarithms; step and masses are adapted first.
@@ -233,8 +243,8 @@ def nuts(blackjax: Any, model: Model, params: Params, data: Data, starts: Any, w
         params: parameters, tuned.
         data: the series.
         starts: states of the chains.
-        warm: iterations of its own warm-up, not timed.
-        iterations: S of each chain.
+        piece: iterations of its own warm-up, which is not timed, and of a call.
+        seconds: how long.
     """
     p = model.linear
 
@@ -250,7 +260,7 @@ def nuts(blackjax: Any, model: Model, params: Params, data: Data, starts: Any, w
     def settle(params: Params, data: Data, variances: Any, key: Any) -> Any:
         at = jnp.concatenate([jnp.zeros(p), jnp.log(variances)])
         adaptation = blackjax.window_adaptation(blackjax.nuts, partial(log_density, params, data))
-        found = adaptation.run(key, at, num_steps=warm)[0]
+        found = adaptation.run(key, at, num_steps=piece)[0]
         return found.state, found.parameters["step_size"], found.parameters["inverse_mass_matrix"]
 
     def sample(params: Params, data: Data, state: Any, size: Any, masses: Any, key: Any) -> Any:
@@ -260,21 +270,25 @@ def nuts(blackjax: Any, model: Model, params: Params, data: Data, starts: Any, w
             state, _ = kernel.step(key, state)
             return state, unknown(params, state.position)
 
-        return jax.lax.scan(step, state, jax.random.split(key, iterations))[1]
+        return jax.lax.scan(step, state, jax.random.split(key, piece))
 
     line, same = several(), (params, data)
 
     def spread(fn: Any) -> Any:
         return partial(shards(fn, line, common=2), *same)
 
-    keys = jax.random.split(jax.random.key(1), len(starts.path))
-    settled = spread(settle)(starts.unknown.variances, keys)
-    run = spread(sample)
-    jax.block_until_ready(run(*settled, keys))  # compiles; the same draws come again
+    key, count = jax.random.key(1), len(starts.path)
+    state, *adapted = spread(settle)(starts.unknown.variances, jax.random.split(key, count))
+    run, kept = spread(sample), []
+    jax.block_until_ready(run(state, *adapted, jax.random.split(key, count)))  # compiles
     begun = time.perf_counter()
-    found = jax.block_until_ready(run(*settled, keys))
+    while not kept or time.perf_counter() - begun < seconds:
+        keys = jax.random.split(jax.random.fold_in(key, len(kept)), count)
+        state, found = jax.block_until_ready(run(state, *adapted, keys))
+        kept.append(jax.tree.map(np.asarray, found))
     took = time.perf_counter() - begun
-    return Draws(np.asarray(found.theta), np.asarray(found.variances), took)
+    theta, variances = (np.concatenate([one[k] for one in kept], axis=1) for k in (0, 1))
+    return Draws(theta, variances, np.zeros((*theta.shape[:2], 0)), took)
 
 
 __all__ = ["THREADS", "Draws", "Problem", "ahead", "nuts", "paper", "particles_gibbs", "problem", "unknowns"]

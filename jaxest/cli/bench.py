@@ -36,6 +36,10 @@ def run(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Picture of the case scaling; replaced if it exists.")
     ] = None,
+    peer_seconds: Annotated[
+        float | None,
+        typer.Option(help="torque: how long each other sampler runs; 30 s if left out.", show_default=False),
+    ] = None,
     show: Annotated[bool, typer.Option("--list", help="Name the cases and leave.")] = False,
     devices: Devices = None,
     json: Json = False,
@@ -62,7 +66,8 @@ def run(
     robots = [str(file) for file in robot or ()]
     for case in [name or "kinematics"] if name or robots else bench.CASES:
         with working(f"{case} ...") as say:
-            rows = list(bench.rows(case, peers=peers, progress=say, small=small, robots=robots))
+            rows = list(bench.rows(case, peers=peers, progress=say, small=small, robots=robots,
+                                   peer_seconds=peer_seconds))  # fmt: skip
         if not json:
             page.print(figures(rows, case, timing=True))
         found += rows

@@ -18,7 +18,8 @@ from jaxest.systems import torque, torque_model
 def test_torque():
     rows = list(bench.rows("torque", peers=False, small=True))
     assert [row.metric for row in rows] == [
-        "the paper's run", "R-hat, largest", "effective draws of torques", "effective draws of variances", "iteration",
+        "the paper's run", "R-hat, largest", "effective draws of torques", "effective draws of variances",
+        "effective draws of the path", "iteration",
     ]  # fmt: skip
     assert all(row.value > 0 for row in rows)
 
