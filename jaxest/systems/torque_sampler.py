@@ -20,7 +20,7 @@ from jaxest.mcmc.chains import Chains
 from jaxest.mcmc.kernel import Kernel, Params
 from jaxest.mcmc.model import Data, Model, Prior
 from jaxest.parallel import several
-from jaxest.systems.torque import check_prior
+from jaxest.systems.torque_data import check_prior
 from jaxest.systems.torque_model import check_robot, require_float64
 from jaxest.systems.torque_step import check_series
 from jaxest.types import Array, unknown_name
