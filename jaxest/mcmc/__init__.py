@@ -1,9 +1,10 @@
 """Markov chains over parameters and paths of nonlinear state-space models with additive noise.
 
-Write the model once (`Model`, `Prior`, `Data`); `chains.untuned` linearises it along its most probable path and
-`chains.warm_up` tunes the proposals. Then choose a sampler: `particle_gibbs.guided`, `particle_mh.guided`, or
-`kernel.collapsed`, which is the quickest and is exact up to the linearisation. Each is a
-`kernel(params, data, state, *, key) -> (state, info)`; `chains.advance` drives many chains with `filters.run`.
+Write the model once (`Model`, `Prior`, `Data`); `chains.untuned` linearises it along its most probable path,
+`chains.settle` or `chains.warm_up` tunes the proposals. Then choose a sampler: `particle_gibbs.guided`,
+`particle_mh.guided`, or `kernel.collapsed`, which is the quickest and is exact up to the linearisation;
+`full_noise.gibbs` draws whole covariance matrices. Each is a `kernel(params, data, state, *, key) -> (state, info)`;
+`chains.advance` drives many chains with `filters.run`.
 
 Start chains from `chains.dispersed` and read `diagnostics.verdict`: one chain cannot see that its path is frozen.
 
@@ -15,6 +16,7 @@ from jaxest.mcmc import (
     chains,
     conditional_smc,
     diagnostics,
+    full_noise,
     kernel,
     model,
     particle_gibbs,
@@ -26,6 +28,7 @@ __all__ = [
     "chains",
     "conditional_smc",
     "diagnostics",
+    "full_noise",
     "kernel",
     "model",
     "particle_gibbs",

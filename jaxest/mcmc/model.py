@@ -83,6 +83,15 @@ class Unknown(NamedTuple):
     """(n + m,) process noise first."""
 
 
+class Covariances(NamedTuple):
+    """In place of `Unknown.variances` where noises of a time go together (`full_noise`)."""
+
+    process: Array
+    """(n, n)"""
+    sensor: Array
+    """(m, m)"""
+
+
 def linearize(model: Model, params: PyTree, prior: Prior, data: Data, path: Array, theta: Array) -> Linear:
     """Linearise a model along a path, all times at once.
 
@@ -161,7 +170,10 @@ def log_weight(model: Model, data: Data, linear: Linear, unknown: Unknown, path:
         ().
     """
     ahead = path[1:] - linear_steps(linear, unknown.theta, path)
-    return jnp.sum((ahead - error / 2) * error / unknown.variances[None, : model.size])
+    noise: Array | Covariances = unknown.variances
+    if isinstance(noise, Covariances):
+        return jnp.sum((ahead - error / 2) * jnp.linalg.solve(noise.process, error.T).T)
+    return jnp.sum((ahead - error / 2) * error / noise[None, : model.size])
 
 
 def normals(key: Array, *shape: int) -> Array:
@@ -183,6 +195,7 @@ def _normal(bits: Array) -> Array:
 
 
 __all__ = [
+    "Covariances",
     "Data",
     "Linear",
     "Model",

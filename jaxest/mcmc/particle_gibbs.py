@@ -54,18 +54,45 @@ def draw_unknown(model: Model, params: Params, data: Data, path: Array, unknown:
 
     Source: Zakeri 2023, eqs. 25 to 31; eq. 25 with the S2^-1 that it omits.
     """
-    prior = params.prior
     key_theta, key_variances = jax.random.split(key)
+    weight = jnp.diag(1 / unknown.variances[: model.size])
     ahead, slope = _steps(model, params.model, data, path, unknown.theta)
-    weight = 1 / unknown.variances[: model.size]
-    left = path[1:] - ahead
-    theta = unknown.theta
+    left, theta = path[1:] - ahead, unknown.theta
     if model.linear:
-        precision = jnp.einsum("tip,i,tiq->pq", slope, weight, slope)
-        right = jnp.einsum("tip,i,ti->p", slope, weight, left)
-        theta = _within(key_theta, prior, theta, precision, right)
+        theta = _theta(key_theta, params.prior, theta, slope, left, weight)
         left = left - jnp.einsum("tip,p->ti", slope, theta - unknown.theta)
-    return Unknown(theta, draw_variances(key_variances, model, prior, data, path, left))
+    return Unknown(theta, draw_variances(key_variances, model, params.prior, data, path, left))
+
+
+def theta_given_path(
+    model: Model, params: Params, data: Data, path: Array, theta: Array, weight: Array, *, key: Array
+) -> Array:
+    """Draw theta given path and process noise: normal within its box.
+
+    Args:
+        model: the model.
+        params: parameters.
+        data: the series.
+        path: (T, n).
+        theta: (p,) the current one.
+        weight: (n, n) precision of the process noise.
+        key: random key.
+
+    Returns:
+        (p,)
+
+    Source: Zakeri 2023, eq. 25, with the S2^-1 that it omits.
+    """
+    if not model.linear:
+        return theta
+    ahead, slope = _steps(model, params.model, data, path, theta)
+    return _theta(key, params.prior, theta, slope, path[1:] - ahead, weight)
+
+
+def _theta(key: Array, prior: Prior, theta: Array, slope: Array, left: Array, weight: Array) -> Array:
+    weighed = jnp.einsum("tip,ij->tjp", slope, weight)
+    precision = jnp.einsum("tip,tiq->pq", weighed, slope)
+    return _within(key, prior, theta, precision, jnp.einsum("tip,ti->p", weighed, left))
 
 
 def _within(key: Array, prior: Prior, theta: Array, precision: Array, right: Array) -> Array:
@@ -150,4 +177,4 @@ def baseline(model: Model, look: Look, *, count: int = 1000, threshold: float = 
     return kernel
 
 
-__all__ = ["Look", "baseline", "draw_unknown", "guided", "next_only", "nothing"]
+__all__ = ["Look", "baseline", "draw_unknown", "guided", "next_only", "nothing", "theta_given_path"]

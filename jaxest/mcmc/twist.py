@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.scipy.linalg import solve_triangular
 
 from jaxest.filters.kalman.gaussian import product
+from jaxest.mcmc._information import carried, eliminate, noises, precisions
+from jaxest.mcmc._information import measured as measured_by
 from jaxest.mcmc.model import Data, Linear, Model, Prior, Unknown, linearize
 from jaxest.types import Array, PyTree
 
@@ -55,44 +56,6 @@ class Collapsed(NamedTuple):
     """() of the variances, theta integrated out (flat, without the box)."""
 
 
-def _noises(model: Model, prior: Prior, variances: Array, steps: int) -> Array:
-    """Variances (T, n) of each state's noise; that of the first is its prior's."""
-    process = jnp.broadcast_to(variances[None, : model.size], (steps - 1, model.size))
-    return jnp.concatenate([prior.variance[None], process])
-
-
-def _carried(a: Array, top: Array) -> Array:
-    """Return J' A J (k, k) for J (k, k) with rows `top` (n, k) above those of the identity, which are left out."""
-    n = len(top)
-    half = product(a[:, :n], top) + jnp.pad(a[:, n:], ((0, 0), (n, 0)))
-    return product(top.T, half[:n]) + jnp.pad(half[n:], ((n, 0), (0, 0)))
-
-
-def _eliminate(a: Array, noise: Array) -> tuple[tuple[Array, Array, Array], Array, Array]:
-    """Integrate over a state's noise (n,): root, inverse and link, A at the prediction, and the log of the integral."""
-    n = noise.shape[0]
-    root = jax.lax.linalg.cholesky(a[:n, :n] + jnp.diag(1 / noise), symmetrize_input=False)
-    inverse = solve_triangular(root, jnp.eye(n, dtype=a.dtype), lower=True)
-    link = product(inverse, a[:n])
-    log = -jnp.sum(jnp.log(noise)) / 2 - jnp.sum(jnp.log(jnp.diagonal(root)))
-    return (root, inverse, link), a - product(link.T, link), log
-
-
-def _measured(model: Model, linear: Linear, data: Data, variances: Array) -> tuple[Array, Array]:
-    """A (T, k, k) of each measurement alone, and the logarithm (T,)."""
-    t, n = linear.path.shape
-    k = n + 1 + model.linear
-    at = np.asarray(model.observed)
-    r = variances[None, model.size :]
-    weight = jnp.where(data.valid, 1 / r, 0)
-    away = linear.path[:, at] - data.value
-    cross = weight * away
-    a = jnp.zeros((t, k, k), linear.path.dtype).at[:, at, at].set(weight)
-    a = a.at[:, at, n].set(cross).at[:, n, at].set(cross).at[:, n, n].set(jnp.sum(cross * away, axis=1))
-    log = -jnp.sum(jnp.where(data.valid, jnp.log(2 * jnp.pi * r), 0), axis=1) / 2
-    return a, log
-
-
 def backward(model: Model, prior: Prior, data: Data, linear: Linear, variances: Array, whole: bool = False) -> Twist:
     """Run the backward information filter.
 
@@ -107,32 +70,49 @@ def backward(model: Model, prior: Prior, data: Data, linear: Linear, variances: 
     Returns:
         What each state's proposal and the evidence need.
     """
-    steps, n = linear.path.shape
-    measured, measured_log = _measured(model, linear, data, variances)
-    noise = _noises(model, prior, variances, steps)
+    precision, log_det = precisions(model, prior, variances, linear.path.shape[0])
+    return sweep(linear, *measured_by(model, linear, data, variances), precision, log_det, whole)
+
+
+def sweep(
+    linear: Linear, measured: Array, measured_log: Array, precision: Array, log_det: Array, whole: bool = False
+) -> Twist:
+    """Run the backward information filter on given information.
+
+    Args:
+        linear: the linear model.
+        measured: (T, k, k) A of each measurement alone.
+        measured_log: (T,) its logarithm where z' A z is 0.
+        precision: (T, n, n) of each state's noise; the first is that of its prior.
+        log_det: (T,) logarithm of its determinant.
+        whole: as in `backward`; static.
+
+    Returns:
+        As `backward`.
+    """
+    n = linear.path.shape[1]
 
     def retreat(carry: tuple[Array, Array], now: Any) -> tuple[Any, Any]:
         a, log = carry
-        of_data, of_data_log, noise, top = now
+        of_data, of_data_log, precision, log_det, top = now
         here, here_log = a + of_data, log + of_data_log
-        factors, ahead, gain = _eliminate(here, noise)
+        factors, ahead, gain = eliminate(here, precision, log_det)
         ahead_log = here_log + gain
         kept = (here, ahead) if whole else (None, None)
-        return (_carried(ahead, top), ahead_log), (*factors, *kept, here_log, ahead_log)
+        return (carried(ahead, top), ahead_log), (*factors, *kept, here_log, ahead_log)
 
-    k = n + 1 + model.linear
-    start = (jnp.zeros((k, k), linear.path.dtype), jnp.zeros((), linear.path.dtype))
+    start = (jnp.zeros_like(measured[0]), jnp.zeros_like(measured_log[0]))
     top = jnp.concatenate([linear.jacobian, linear.offset[:, :, None], linear.design], axis=2)
-    xs = (measured, measured_log, noise, top)
+    xs = (measured, measured_log, precision, log_det, top)
     (last, log), rows = jax.lax.scan(retreat, start, xs, reverse=True)
     return Twist._make((*rows, last[n:, n:], log))
 
 
 def next_only(model: Model, prior: Prior, data: Data, linear: Linear, variances: Array) -> Twist:
     """Look at the next measurement only, as fully adapted particles do; arguments as in `backward`, always whole."""
-    here, log = _measured(model, linear, data, variances)
-    noise = _noises(model, prior, variances, linear.path.shape[0])
-    factors, ahead, gain = jax.vmap(_eliminate)(here, noise)
+    here, log = measured_by(model, linear, data, variances)
+    given = precisions(model, prior, variances, linear.path.shape[0])
+    factors, ahead, gain = jax.vmap(eliminate)(here, *given)
     unknown = _unknown(model, here.dtype)
     return Twist(*factors, here, ahead, log, log + gain, unknown, unknown[0, 0])
 
@@ -140,7 +120,7 @@ def next_only(model: Model, prior: Prior, data: Data, linear: Linear, variances:
 def nothing(model: Model, prior: Prior, data: Data, linear: Linear, variances: Array) -> Twist:
     """Look at no measurement to come, as bootstrap particles do; arguments as in `backward`."""
     del data
-    sd = jnp.sqrt(_noises(model, prior, variances, linear.path.shape[0]))
+    sd = jnp.sqrt(noises(model, prior, variances, linear.path.shape[0]))
     none = jnp.zeros_like(sd[:, 0])
     unknown = _unknown(model, sd.dtype)
     return Twist(
@@ -284,4 +264,4 @@ def _better(model: Model, prior: Prior, data: Data, linear: Linear, variances: A
 
 
 __all__ = ["Collapsed", "Flow", "Twist", "backward", "collapse", "draw", "fit_path", "flow", "log_evidence",
-           "next_only", "nothing", "whiten"]  # fmt: skip
+           "next_only", "nothing", "sweep", "whiten"]  # fmt: skip
