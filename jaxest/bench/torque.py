@@ -113,7 +113,7 @@ def _ours(case: Case, iterations: int) -> tuple[Draws, float]:
 
 def rate(found: Draws, at: int, discard: float) -> float:
     """Return the least effective draws a second of torques (`at` 0), variances (1) or path (2), a share discarded."""
-    x = found[at]
+    x = (found.theta, found.variances, found.path)[at]
     kept = x[:, int(discard * x.shape[1]) :]
     return min(effective(kept[:, :, i]) for i in range(kept.shape[2])) / (found.seconds * (1 - discard))
 
@@ -150,7 +150,7 @@ def _beside(metric: str, condition: str, ours: Draws, at: int, peers: dict[str, 
     if not peers:
         yield Row(metric, condition, value, "1/s")
     for name, found in peers.items():
-        if not isinstance(found, str) and not found[at].shape[-1]:
+        if at == 2 and not isinstance(found, str) and not found.path.shape[-1]:
             continue
         row = Row(metric, condition, value, "1/s", n=ours.theta.shape[0] * ours.theta.shape[1])
         if isinstance(found, str):

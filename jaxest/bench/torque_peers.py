@@ -117,7 +117,8 @@ def paper(given: Problem, starts: Any, seconds: float, count: int = 1000, seed: 
             now[chain] = (path, *unknowns(random, given, path, tau, s))
         kept.append([(tau, s, path[:, : given.model.nv].sum(axis=1)) for path, tau, s in now])
     took = time.perf_counter() - begun
-    return Draws(*(np.array([[one[k] for one in rows] for rows in kept]).swapaxes(0, 1) for k in range(3)), took)
+    theta, variances, paths = (np.array([[one[k] for one in rows] for rows in kept]).swapaxes(0, 1) for k in range(3))
+    return Draws(theta, variances, paths, took)
 
 
 def _conditional(random: np.random.Generator, given: Problem, path: Rows, tau: Rows, s: Rows, count: int) -> Rows:
@@ -229,7 +230,8 @@ def particles_gibbs(mcmc: Any, given: Problem, starts: Any, seconds: float, coun
     kept = [run(chain, iterations) for chain in range(chains)]
     took = time.perf_counter() - begun
     size = min(len(one[2]) for one in kept)  # its first iteration may draw no parameters
-    return Draws(*(np.stack([one[k][-size:] for one in kept]) for k in range(3)), took)
+    theta, variances, probes = (np.stack([one[k][-size:] for one in kept]) for k in range(3))
+    return Draws(theta, variances, probes, took)
 
 
 def nuts(blackjax: Any, model: Model, params: Params, data: Data, starts: Any, piece: int, seconds: float) -> Draws:
@@ -279,7 +281,7 @@ def nuts(blackjax: Any, model: Model, params: Params, data: Data, starts: Any, p
 
     key, count = jax.random.key(1), len(starts.path)
     state, *adapted = spread(settle)(starts.unknown.variances, jax.random.split(key, count))
-    run, kept = spread(sample), []
+    run, kept = spread(sample), list[Any]()
     jax.block_until_ready(run(state, *adapted, jax.random.split(key, count)))  # compiles
     begun = time.perf_counter()
     while not kept or time.perf_counter() - begun < seconds:

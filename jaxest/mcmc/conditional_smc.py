@@ -163,9 +163,8 @@ def _quadratic(a: Array | None, log: Array, x: Array, shift: Array) -> Array:
 
 def _propose(twist: Twist, row: int | None, ahead: Array, shift: Array, normal: Array) -> Array:
     """Draw states (N, n) around their predictions (N, n)."""
-    root, inverse, link = (
-        leaf if leaf is None or row is None else leaf[row] for leaf in (twist.root, twist.inverse, twist.link)
-    )
+    at = twist if row is None else jax.tree.map(lambda leaf: leaf[row], (twist.root, twist.inverse, twist.link))
+    root, inverse, link = at[:3]
     if link is None:
         return ahead + normal * jnp.diagonal(inverse)[None]
     white = normal - product(_z(ahead, shift), link.T)

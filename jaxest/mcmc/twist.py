@@ -213,6 +213,7 @@ def draw(given: Flow, linear: Linear, normal: Array, moved: Array | None = None)
 
 def whiten(twist: Twist, linear: Linear, theta: Array, path: Array) -> Array:
     """Return the standard normal numbers (T, n) of which `draw` makes a path (T, n)."""
+    assert twist.link is not None, "nothing is known of the data"
     away = path - linear.path
     before = jnp.concatenate([jnp.zeros_like(away[:1]), away[:-1]])
     shift = theta - linear.centre
