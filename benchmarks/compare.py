@@ -1,6 +1,6 @@
 """What became slower, or less accurate, between two results of `jaxest bench --json` or of a script here.
 
-    jaxest bench orientation --json > benchmarks/results/orientation.json
+    python benchmarks/keep.py orientation
     python benchmarks/compare.py OLD.json NEW.json [--tolerance 1.2]
 
 Rows are matched by metric and condition. Where both have a peer, their ratios to it are compared, which the machine's

@@ -6,8 +6,9 @@
 from eight starts that lie far apart, beside a grid of 260 settings, on all trials, and on each half tuned on the other.
 `held-out`: the attitude filter (ekf) tuned on half of the trials, judged on the other, both ways. `recovery`: the
 deflection filter's concentrations and variances from logs drawn with values that it is not told, from Table I's.
-`walk`: Table I's walk on a bent arm, the tuned filter's error on other logs beside Table I's, and what the best walk
-and sensor noise in hindsight would give. The command for one's own logs is `jaxest tune`.
+`walk`: Table I's walk on a bent arm, the tuned filter's error on other logs beside Table I's, guided and by the
+paper's 2048 bootstrap particles, and what the best walk and sensor noise in hindsight would give. The command for one's
+own logs is `jaxest tune`.
 """
 
 import argparse
@@ -43,6 +44,7 @@ ARM = (
 FREE = ("walk", "sensors.encoders.concentration", ("sensors.imu2.lam", "sensors.imu3.lam"), "sensors.tip.variance")
 TRUE = {"walk": 150.0, "encoders": 40.0, "lam": -300.0, "variance": 0.001}
 """Generating values: a step of 0.08 rad, encoders off by 0.16 rad, IMUs by 0.04, the tip by 0.03 m."""
+FILTERS = {"bootstrap": (2048, deflection.bootstrap), "guided": (256, deflection.guided)}
 PRIOR = 20.0
 """Of all logs and filters of `recovery`: they start near home. Where the first readings leave several postures, few
 particles may miss the right one, and the likelihood then says more of that than of the noise."""
@@ -118,7 +120,7 @@ def grid(folder: Path, seed: int) -> list[Row]:
     return rows
 
 
-def held_out(folder: Path, seed: int) -> list[Row]:
+def held_out(folder: Path, evaluations: int) -> list[Row]:
     """Tune the attitude filter on each half of the trials."""
     system = orientation.build(filter=attitude.ekf, sensors=("gyroscope", "accelerometer"))
     objective = tuning.supervised(system, tuning.errors.inclination)
@@ -132,7 +134,7 @@ def held_out(folder: Path, seed: int) -> list[Row]:
     tuned = np.zeros(count)
     for i, half in enumerate(halves):
         say(f"tuning on half {1 - i}")
-        found = tuning.minimise(problem, tuning.take(batch, halves[1 - i]), evaluations=25, progress=say)
+        found = tuning.minimise(problem, tuning.take(batch, halves[1 - i]), evaluations=evaluations, progress=say)
         tuned[half] = degrees(objective, found.params, tuning.take(batch, half))
         say(f"  {dict(zip(space.names, np.asarray(space.values(found.point)).round(4).tolist(), strict=True))}")
     return [Row("inclination RMSE, 6 axes, ekf", "each half tuned on the other", float(tuned.mean()), "deg",
@@ -206,7 +208,43 @@ def recovery(logs: int, seed: int, evaluations: int, keys: int = 6) -> list[Row]
         off = (row.value - value) / row.sd
         rows.append(Row(row.name, f"{logs} logs of 100 steps, from {row.start:g}; off by {off:+.2f} sd", row.value, "1",
                         row.sd, logs, float(value), "generating value"))  # fmt: skip
-    return rows
+    say("other logs")
+    others, truths = jax.vmap(draw)(jax.random.split(jax.random.key(seed + 3), logs))
+    table = system.default_params._replace(prior=PRIOR)
+    return rows + _beside("other logs drawn alike", others, truths, table, found.params, seed)[0]
+
+
+def _beside(
+    label: str, others: Any, truths: Any, table: Any, tuned: Any, seed: int
+) -> tuple[list[Row], Any]:  # fmt: skip
+    """Errors of tuned filters beside those with Table I's parameters; and the function that finds the guided one's."""
+    rows, measured = [], {}
+    for name, (count, propose) in {
+        "bootstrap": (2048, deflection.bootstrap),
+        "guided": (256, deflection.guided),
+    }.items():
+        kind = deflection.build(kinematics.load(models.path("arm")), ARM, particles=count, proposal=propose)
+        measured[name] = jax.jit(partial(_errors, kind, others, truths, seed))
+        plain, better = (np.rad2deg(np.asarray(measured[name](single(p)))) for p in (table, tuned))
+        logs, what = len(plain), f"{label}, {name} {count}"
+        rows += [
+            Row("joints RMSE", what, float(better.mean()), "deg", _error(better - plain), logs, float(plain.mean()),
+                "Table I"),
+            Row("error beside Table I's", what, float(better.mean() / plain.mean()), "1", _error(better / plain), logs),
+        ]  # fmt: skip
+    return rows, measured["guided"]
+
+
+def _errors(system: System, others: Any, truths: Any, seed: int, params: Any) -> Any:
+    """Root mean square error of each log, rad."""
+
+    def one(both: Any) -> Any:
+        measurements, truth = both
+        key = jax.random.key(seed + 5)
+        _, info = run(system.step, params, system.init(params, key=key), measurements, key=key)
+        return jnp.sqrt(jnp.mean(circle.wrap(info.mean - truth)[SETTLED:] ** 2))
+
+    return jax.lax.map(one, (others, truths))
 
 
 def walk(logs: int, seed: int, evaluations: int) -> list[Row]:
@@ -217,30 +255,16 @@ def walk(logs: int, seed: int, evaluations: int) -> list[Row]:
     batch = tuning.padded([tuning.recording(jax.tree.map(np.asarray, one)) for one, _ in scenes[:logs]])
     others, truths = (jax.tree.map(lambda *x: jnp.stack(x), *part) for part in zip(*scenes[logs:], strict=True))
 
-    @jax.jit
-    def errors(params: Any) -> Any:
-        def one(measurements: Any, truth: Any) -> Any:
-            key = jax.random.key(seed + 5)
-            _, info = run(system.step, params, system.init(params, key=key), measurements, key=key)
-            return jnp.sqrt(jnp.mean(circle.wrap(info.mean - truth)[SETTLED:] ** 2))
-
-        return jax.lax.map(lambda both: one(*both), (others, truths.angles))
-
     problem, found = tuned_arm(system, system.default_params, batch, evaluations, seed + 1)
-    start = single(system.default_params)
-    plain, better = (np.rad2deg(np.asarray(errors(single(p)))) for p in (start, found.params))
+    say("other logs")
+    label = f"bent arm, {logs} other logs"
+    rows, errors = _beside(label, others, truths.angles, system.default_params, found.params, seed)
     say("hindsight")
     best, at = _hindsight(problem, found, errors, evaluations)
+    rows.append(Row("joints RMSE", f"{label}, guided, best of {at} settings in hindsight", best, "deg", None, logs,
+                    rows[-2].reference, "Table I"))  # fmt: skip
     values = dict(zip(problem.space.names, np.asarray(problem.space.values(found.point)), strict=True))
-    ratio = better.mean() / plain.mean()
-    label = f"bent arm, {logs} other logs"
-    rows = [Row("joints RMSE", f"{label}, tuned by likelihood", float(better.mean()), "deg",
-                _error(better - plain), logs, float(plain.mean()), "Table I"),
-            Row("error beside Table I's", label, float(ratio), "1", _error(better / plain), logs),
-            Row("joints RMSE", f"{label}, best of {at} settings in hindsight", best, "deg", None, logs,
-                float(plain.mean()), "Table I")]  # fmt: skip
-    rows += [Row(name, "tuned by likelihood", float(v), "1", None, logs) for name, v in values.items()]
-    return rows
+    return rows + [Row(name, "tuned by likelihood", float(v), "1", None, logs) for name, v in values.items() if v]
 
 
 def _hindsight(problem: Any, found: Any, errors: Any, count: int) -> tuple[float, int]:
@@ -271,7 +295,7 @@ def main() -> None:
     for part in given.part:
         made = {
             "grid": lambda: grid(given.broad, given.seed),
-            "held-out": lambda: held_out(given.broad, given.seed),
+            "held-out": lambda: held_out(given.broad, min(given.evaluations, 12)),
             "recovery": lambda: recovery(given.logs, given.seed, given.evaluations),
             "walk": lambda: walk(given.logs, given.seed, given.evaluations),
         }[part]()

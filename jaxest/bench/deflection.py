@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest import kinematics, models
-from jaxest.bench import deflection_accuracy, deflection_peers
+from jaxest.bench import deflection_accuracy, deflection_parts, deflection_peers
 from jaxest.bench.harness import Candidate, Progress, candidate, compare, compile_row, find_peer, race
 from jaxest.bench.robots import pinocchio_model
 from jaxest.io.report import Row
@@ -71,6 +71,8 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
                 found.get(peer),
                 missing="" if peer in found else package.split(".")[0],
             )
+    problem = _problem(robot, many, deflection.bootstrap)
+    yield from deflection_parts.rows(robot, SENSORS, problem, many, progress, small)
     if peers:
         progress("deflection: accuracy")
         filters = _means(robot, candidates, many)
