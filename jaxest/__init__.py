@@ -15,7 +15,7 @@ this package starts no JAX backend.
 import importlib
 from typing import Any
 
-__version__ = "0.0.1"
+__version__ = "0.1.0"
 
 _SUBMODULES = (
     "bench",

@@ -5,6 +5,9 @@ The page `messages` of the documentation lists them all.
 
 from error_messages import messages
 
+from jaxest.cli.output import _GUIDED as GUIDED
+from jaxest.cli.output import next_step
+
 
 def test_messages_say_what_was_found():
     found = list(messages())
@@ -17,3 +20,18 @@ def test_messages_are_one_sentence_without_shouting():
     for message in messages():
         assert not message.text.endswith((".", "!")), message
         assert "  " not in message.text, message
+
+
+def test_a_person_is_always_told_what_to_do_next(tmp_path):
+    """Either the message says it, or the command adds a line; the options name the file that the message is about."""
+    log = tmp_path / "log.csv"
+    log.write_text("x")
+    for message in messages():
+        text = message.text.replace("{path}", str(log))
+        assert next_step(text, "estimate", {"log": log}) or GUIDED.search(text), message
+    assert (
+        next_step(f"{log}: the file is empty", "estimate", {"log": log})
+        == f"; `jaxest inspect {log}` shows what is in it"
+    )
+    assert "jaxest inspect --help" in next_step(f"{log}: the file is empty", "inspect", {"file": log})
+    assert next_step("rod 'a' does not exist; did you mean 'b'?", "tune", {}) == ""

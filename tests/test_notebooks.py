@@ -1,4 +1,4 @@
-"""Every notebook runs from its first cell to its last, in its reduced form."""
+"""Every notebook runs from its first cell to its last, in its reduced form: three here, the others with `-m slow`."""
 
 import os
 from pathlib import Path
@@ -10,11 +10,16 @@ nbclient = pytest.importorskip("nbclient")
 pytest.importorskip("ipykernel")
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
+FEW = ("01_bent_arm", "02_your_own_robot", "09_live")
 LARGEST = 400_000  # bytes: results are kept small
 
 
+def marked(path):
+    return pytest.param(path, id=path.stem, marks=[] if path.stem in FEW else [pytest.mark.slow])
+
+
 @pytest.mark.filterwarnings("default")  # of Jupyter's own
-@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.ipynb")), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [marked(path) for path in sorted(FOLDER.glob("*.ipynb"))])
 def test_notebook_runs(path, tmp_path, monkeypatch):
     monkeypatch.setenv("JAXEST_SMALL", "1")
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(FOLDER.parent / ".cache" / "jax"))

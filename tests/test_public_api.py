@@ -4,6 +4,7 @@
 """
 
 import importlib
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
@@ -36,6 +37,13 @@ def test_public_names_are_those_that_were_agreed():
     now = public()
     assert sorted(set(agreed) - set(now)) == [], "public names that are gone; keep an alias for one release"
     assert sorted(set(now) - set(agreed)) == [], "public names that are new; add them to public_api.txt"
+
+
+def test_the_version_is_one_and_told_in_the_changes():
+    root = Path(__file__).parents[1]
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    assert project["version"] == jaxest.__version__
+    assert f"## {jaxest.__version__} (" in (root / "CHANGELOG.md").read_text()
 
 
 if __name__ == "__main__":

@@ -9,15 +9,22 @@ import functools
 import json
 import math
 import os
+import re
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TextIO
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 
+_GUIDED = re.compile(
+    r"did you mean|expected|pip install|pass --|overwrite=|into a config|Say in a config|choose another|set MUJOCO_GL|"
+    r"partial=True|clock='bag'|expand it first|no such file"
+)
+"""Words of messages that say what to do."""
 DONE, BAD_INPUT, REJECTED = 0, 2, 3
 PIPE_WIDTH = 140  # columns of a table that goes to a file or a pipe
 
@@ -80,7 +87,9 @@ def command(body: Callable[..., Answer]) -> Callable[..., None]:
                 raise
             if options.get("verbose") or os.environ.get("JAXEST_DEBUG"):
                 traceback.print_exc()
-            console(sys.stderr).print(f"[bold red]error:[/] {escape(_plain(error))}", soft_wrap=True)
+            message = _plain(error)
+            further = next_step(message, body.__module__.rpartition(".")[2], options)
+            console(sys.stderr).print(f"[bold red]error:[/] {escape(message + further)}", soft_wrap=True)
             raise typer.Exit(BAD_INPUT) from None
         if answer.status:
             raise typer.Exit(answer.status)
@@ -134,6 +143,25 @@ def bad_input(message: str) -> Exception:
     from jaxest.types import InputError
 
     return InputError(message)
+
+
+def next_step(message: str, name: str, options: Mapping[str, Any]) -> str:
+    """Say what a person may do about an error whose message does not say it.
+
+    Args:
+        message: of the error.
+        name: of the command.
+        options: the command's own, in which a file that the message is about may be.
+
+    Returns:
+        What to type next, to be added to the message; empty where the message has it.
+    """
+    if _GUIDED.search(message):
+        return ""
+    for value in options.values():
+        if isinstance(value, Path) and message.startswith(str(value)) and value.is_file() and name != "inspect":
+            return f"; `jaxest inspect {value}` shows what is in it"
+    return f"; `jaxest {name} --help` has the options and examples"
 
 
 def _is_bad_input(error: Exception) -> bool:

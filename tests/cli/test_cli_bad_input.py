@@ -278,3 +278,9 @@ def test_a_reader_that_has_seen_enough_is_no_error(tmp_path):
         assert process.stderr is not None
         assert "Traceback" not in process.stderr.read()
         assert process.wait() == 0
+
+
+def test_what_to_do_next_is_said_where_the_message_does_not(refused, tmp_path):
+    (tmp_path / "log.csv").write_text("time,a\n")
+    assert "; `jaxest inspect log.csv` shows what is in it" in refused("estimate", "log.csv", "-m", "orientation")
+    assert "jaxest estimate" not in refused("estimate", "log.csv", "-m", "orientaton")

@@ -11,11 +11,12 @@ from jaxest.io import SensorLog, Stream, ticks, to_si
 from jaxest.io.log import refuse_nan, stream, where
 from jaxest.io.report import Row
 from jaxest.io.units import kind_of
-from jaxest.types import InputError, Reading, unknown_name
+from jaxest.types import OUT_OF_RANGE, InputError, Reading, unknown_name
 
 KINDS = ("gyroscope", "accelerometer", "magnetometer")
 HOLD = 1.5  # median intervals of the gyroscope for which its last reading stands in at a tick of another sensor
-MISSING = 0.1  # share of steps without a rate above which the result must not be used
+LOST = 0.01  # share of steps at which numbers outgrew the precision above which the result must not be used
+MISSING = 0.1  # share of steps without a rate, likewise
 
 
 class Choice(NamedTuple):
@@ -198,10 +199,10 @@ def _refused(info: Any, steps: Any) -> list[str]:
         reasons.append("the orientation was never settled: no usable accelerometer (or magnetometer) sample")
     if not np.isfinite(np.asarray(info.quaternion)).all():
         reasons.append("the estimate is not finite")
-    elif info.covariance is not None and not np.isfinite(info.covariance).all():
+    elif np.mean(np.asarray(info.status) == OUT_OF_RANGE) > LOST:
         step = float(np.median(steps.dt[1:])) if len(steps.dt) > 1 else 0.0
         reasons.append(
-            f"its covariance is not finite: steps of {step:.3g} s are too long for these gains and this motion"
+            f"its covariance grew out of range: steps of {step:.3g} s are too long for these gains and this motion"
         )
     gyro = next(iter(steps.readings.values())).valid
     if np.mean(~gyro) > MISSING:

@@ -43,6 +43,7 @@ class Estimate(NamedTuple):
 
     quaternion: Any
     valid: Any
+    status: Any
     bias: Any
     """None where the filter has none"""
     covariance: Any
