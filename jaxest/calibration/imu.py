@@ -46,6 +46,9 @@ class Calibration(NamedTuple):
     """likewise of the accelerometer's against the gyroscope's axes, which an ellipsoid fit does tell"""
     accelerometer_bias_deviation: float = 0.3
     """m/s2, standard deviation of the accelerometer's bias along an axis"""
+    accelerometer_turn: float = 0.0
+    """rad, standard deviation about an axis of the turn of the accelerometer's axes against the gyroscope's, beyond
+    what independent entries of `accelerometer_relative` turn: a slow turning tells the scale better than this"""
 
 
 class Readings(NamedTuple):
@@ -81,14 +84,15 @@ def calibrate(rest: Readings, turning: Readings | None = None) -> Calibration:
     fitted = ellipsoid.fit(turning.accelerometer, turning=arms)
     forces = ellipsoid.apply(fitted, turning.accelerometer) - arms @ fitted.lever
     turned = alignment.align(turning.time, rates, forces)
-    # Three entries lie on a matrix' diagonal and six beside it, which share what is symmetric and what turns. Of one
-    # variance for all, what turns has half: the larger of both is said, for a pose hangs on it.
+    # Of nine independent entries of one variance, those on the diagonal have it, the symmetric and the turning parts of
+    # those beside it half of it each.
     variance, turn = np.diag(fitted.covariance), np.mean(turned.deviation**2)
-    spread = max((np.sum(variance[:3]) + 2 * np.sum(variance[3:6]) + 6 * turn) / 9, 2 * turn)
+    spread = (np.sum(variance[:3]) + 2 * np.sum(variance[3:6])) / 6
     return Calibration(
         still.gyroscope_bias, noise[0], turned.rotation @ fitted.matrix, fitted.bias, noise[1],
         accelerometer_relative=float(np.sqrt(spread)),
         accelerometer_bias_deviation=float(np.sqrt(np.mean(variance[6:]))),
+        accelerometer_turn=float(np.sqrt(max(turn - spread / 2, 0.0))),
     )  # fmt: skip
 
 
@@ -142,7 +146,7 @@ def load(path: str | Path) -> dict[str, Calibration]:
         shapes = {"gyroscope_bias": (3,), "gyroscope_noise": (), "accelerometer_matrix": (3, 3),
                   "accelerometer_bias": (3,), "accelerometer_noise": (), "gyroscope_matrix": (3, 3),
                   "gyroscope_axes": (), "accelerometer_axes": (), "accelerometer_relative": (),
-                  "accelerometer_bias_deviation": ()}  # fmt: skip
+                  "accelerometer_bias_deviation": (), "accelerometer_turn": ()}  # fmt: skip
         usual = Calibration._field_defaults
         found = {}
         for name, one in plain.items():

@@ -76,7 +76,11 @@ def whole(params: Params, turned: Turned, place: rls.Info, memory: Memory, noisy
     turning = turned.noise + turned.askew
     # Each step used the rotation of its time, whose error then was larger: twice the variance of the last.
     placing = _placed(place, memory, noisy) + sandwich(moved, turning + turned.noise)
-    placing = placing + _stretched(params, place, memory, inverse)
+    # A turned accelerometer moves its own force: A's is R f_P - O r, and O'[O r x] sums to [r x] S for O = [w' x].
+    acc = jnp.asarray(params.accelerometer_turn, inverse.dtype)
+    of_a = crossed - product(skew(place.estimate), _spread(memory))
+    felt = (acc * acc)[None, None] * (product(crossed, transposed(crossed)) + product(of_a, transposed(of_a)))
+    placing = placing + _stretched(params, place, memory, inverse) + sandwich(inverse, felt)
     cross = product(turning, transposed(moved))
     covariance = jnp.concatenate(
         [jnp.concatenate([turning, cross], axis=1), jnp.concatenate([transposed(cross), placing], axis=1)]

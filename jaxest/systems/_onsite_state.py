@@ -36,6 +36,9 @@ class Params(NamedTuple):
     """() likewise of either accelerometer."""
     accelerometer_bias: ArrayLike = 0.0
     """() m/s2, standard deviation of either accelerometer's bias along each axis; likewise."""
+    accelerometer_turn: ArrayLike = 0.0
+    """() rad, standard deviation about each axis of the turn of either accelerometer's axes against its gyroscope's,
+    beyond what `accelerometer_axes` says: a calibration that slowly turns the sensor knows its scale far better."""
 
 
 class Memory(NamedTuple):

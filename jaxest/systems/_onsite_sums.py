@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from jaxest.filters._small import outer
 from jaxest.manifolds import quaternion as quat
+from jaxest.manifolds._algebra import skew
 from jaxest.systems import _onsite_window as win
 from jaxest.types import Array
 
@@ -114,6 +115,13 @@ def bent(windows: win.Window, ready: Array, state: Unknowns, spread: Array, weig
     return jnp.sum(jax.vmap(one)(windows, ready), axis=0)
 
 
+def turned(bent: Array) -> Array:
+    """Return what turns of two sensors do, (SIZE, 6), from what entries of their matrices do, (SIZE, 18)."""
+    # A turn d makes v to v + d x v.
+    entries = jnp.stack([skew(axis).reshape(9) for axis in jnp.eye(3, dtype=bent.dtype)], axis=1)
+    return jnp.concatenate([bent[:, :9] @ entries, bent[:, 9:] @ entries], axis=1)
+
+
 def precision(gyro: Array, acc: Array, dtype: Any) -> Array:
     """Return the precision (SIZE, SIZE) of the prior: b_A and b_P = R'(b_A - c) each have the gyros'."""
     eye, none = jnp.eye(3, dtype=dtype), jnp.zeros((3, 3), dtype)
@@ -122,4 +130,4 @@ def precision(gyro: Array, acc: Array, dtype: Any) -> Array:
     return precision.at[12:, 12:].set(eye / (2 * acc**2) + none)
 
 
-__all__ = ["SIZE", "Unknowns", "bent", "moved", "noise", "normal", "precision", "residual", "start"]
+__all__ = ["SIZE", "Unknowns", "bent", "moved", "noise", "normal", "precision", "residual", "start", "turned"]

@@ -37,6 +37,9 @@ class Prior(NamedTuple):
     direction, rad; it does not average out, and belongs to the covariance. 0 for exact ones."""
     accelerometer_axes: ArrayLike = 0.0
     """() likewise of either accelerometer."""
+    accelerometer_turn: ArrayLike = 0.0
+    """() rad, standard deviation about each axis of the turn of either accelerometer's axes against its gyroscope's,
+    beyond what `accelerometer_axes` says."""
 
 
 class Estimate(NamedTuple):
@@ -150,7 +153,9 @@ def _solve(measurements: Pair, prior: Prior | None, half_width: Array, *, reach:
     carry = (state, spread, weights, zero, jnp.zeros((len(ready), sums.SIZE), dtype))
     # The last pass moves nothing: it reads what belongs to the solution.
     state, spread, weights, h, scores = jax.lax.fori_loop(0, ITERATIONS + 1, body, carry)
-    bent = sums.bent(windows, ready, state, spread, weights) * jnp.repeat(jnp.stack(axes), 18)[None, :]
+    bent = sums.bent(windows, ready, state, spread, weights)
+    turned = sums.turned(bent[:, 18:]) * axes[2]
+    bent = jnp.concatenate([bent * jnp.repeat(jnp.stack(axes[:2]), 18)[None, :], turned], axis=1)
     known, block = sums.precision(gyro, acc, dtype), 4 * (2 * half_width + 1)
     return _read(state, h, scores, known, bent, weights, ready, block, degree)
 

@@ -46,6 +46,13 @@ def shifts(solve, one):
     return every[:36] / BEND, every[36:] / SHIFT
 
 
+def turns(by):
+    """What of a pose moves by turns of either accelerometer, (6, 6)."""
+    entries = by[18:].reshape(2, 3, 3, 6)
+    pairs = [(2, 1), (0, 2), (1, 0)]
+    return np.concatenate([[one[i, j] - one[j, i] for i, j in pairs] for one in entries])
+
+
 def ratio(said, true, part):
     """Of the traces."""
     return np.trace(said[part, part]) / np.trace(true[part, part])
@@ -57,15 +64,16 @@ def test_a_recording_knows_what_each_entry_does(x64):
     solve = partial(onsite_batch.solve, half_width=7)
     by, _ = shifts(lambda m: solve(m, onsite_batch.Prior(0.3, 0.3)), one)
 
-    def covariance(gyro, acc):
-        return np.asarray(solve(one, onsite_batch.Prior(0.3, 0.3, gyro, acc)).covariance)
+    def covariance(gyro, acc, turn=0.0):
+        return np.asarray(solve(one, onsite_batch.Prior(0.3, 0.3, gyro, acc, turn)).covariance)
 
     plain = covariance(0.0, 0.0)
-    for said, rows in ((covariance(1e-3, 0.0), by[:18]), (covariance(0.0, 1e-3), by[18:])):
+    said = covariance(1e-3, 0.0), covariance(0.0, 1e-3), covariance(0.0, 0.0, 1e-3)
+    for found, rows in zip(said, (by[:18], by[18:], turns(by)), strict=True):
         true = 1e-6 * rows.T @ rows
         # The sensitivity is that of Gauss and Newton, whose Hessian leaves out the residuals' second derivatives.
         np.testing.assert_allclose(
-            said - plain, true, atol=0.03 * np.sqrt(np.outer(np.diag(true), np.diag(true))).max()
+            found - plain, true, atol=0.03 * np.sqrt(np.outer(np.diag(true), np.diag(true))).max()
         )
 
 
@@ -77,8 +85,9 @@ def test_the_live_estimate_knows_it_from_a_few_sums(x64):
     params = system.default_params._replace(gyroscope_bias=0.003)
 
     @jax.jit
-    def solve(measurements, axes=(0.0, 0.0, 0.0)):
+    def solve(measurements, axes=(0.0, 0.0, 0.0), turn=0.0):
         given = params._replace(gyroscope_axes=axes[0], accelerometer_axes=axes[1], accelerometer_bias=axes[2])
+        given = given._replace(accelerometer_turn=turn)
         return run(system.step, given, system.init(given), measurements, history=last)[1]
 
     by, shifted = shifts(solve, one)
@@ -88,4 +97,6 @@ def test_the_live_estimate_knows_it_from_a_few_sums(x64):
     assert ratio(gyro, true, TURN) == pytest.approx(1, abs=0.03)
     assert ratio(gyro, true, PLACE) == pytest.approx(1, abs=0.15)
     assert ratio(acc, by[18:].T @ by[18:], PLACE) == pytest.approx(1, abs=0.15)
+    turned = solve(one, turn=1.0).covariance - plain
+    assert ratio(turned, turns(by).T @ turns(by), PLACE) == pytest.approx(1, abs=0.1)
     np.testing.assert_allclose(bias[PLACE, PLACE], (shifted.T @ shifted)[PLACE, PLACE], rtol=0.05, atol=1e-9)

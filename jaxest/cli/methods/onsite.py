@@ -1,7 +1,7 @@
 """`--method onsite`: the pose of one IMU in another on an unknown link, or all links of a robot of joint modules."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -98,9 +98,9 @@ def _pair(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
     a, p = (_imu(log, name, nan, known) for name in names)
     usual = onsite_batch.Prior()
     if all(name in known for name in names):
-        usual = usual._replace(accelerometer_bias=max(known[n].accelerometer_bias_deviation for n in names))
+        usual = usual._replace(accelerometer_bias=_mean(known[n].accelerometer_bias_deviation for n in names))
     prior = onsite_batch.Prior(*(_positive(settings, key, getattr(usual, key)) for key in usual._fields[:2]),
-                               *_axes(settings, names, known))  # fmt: skip
+                               *_axes(settings, names, known, _mean))  # fmt: skip
     found = onsite_recording.estimate(a, p, prior=prior, names=names, align_clocks=settings.get("clocks", True))
     one = found.estimate
     position, turn, covariance = (np.asarray(x, np.float64) for x in one[:3])
@@ -140,18 +140,25 @@ def _positive(settings: Mapping[str, Any], key: str, usual: Any) -> Any:
     return np.float64(value)
 
 
-def _axes(settings: Mapping[str, Any], names: Sequence[str], known: Mapping[str, Any]) -> list[Any]:
-    """What the gyros' and the accelerometers' axes may be off: the config's word, or the worst of the calibrations."""
+def _axes(
+    settings: Mapping[str, Any], names: Sequence[str], known: Mapping[str, Any], of: Callable[..., float]
+) -> list[Any]:
+    """What the gyros' and the accelerometers' axes may be off: the config's word, or `of` the calibrations' words."""
     from jaxest.calibration.imu import UNCALIBRATED
 
     found = []
     for key in AXES:
-        worst = max(getattr(known[name], key) if name in known else UNCALIBRATED for name in names)
-        value = float(settings.get(key, worst))
+        usual = of([getattr(known[name], key) if name in known else UNCALIBRATED for name in names])
+        value = float(settings.get(key, usual))
         if not (value >= 0 and math.isfinite(value)):
             raise InputError(f"[onsite] {key}: got {value}, expected a number of 0 or more, such as 0.01 for 1 %")
         found.append(np.float64(value))
     return found
+
+
+def _mean(deviations: Iterable[float]) -> float:
+    """Return the deviation of each of several sensors that together err as much as these: by the sum of variances."""
+    return float(np.sqrt(np.mean(np.square(list(deviations)))))
 
 
 def _live(found: Any, prior: Any) -> Any:
@@ -225,7 +232,7 @@ def _robot(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
     limits = {"position_limit": float(settings.get("position_limit", 0.005)),
               "rotation_limit": math.radians(float(settings.get("rotation_limit_deg", 0.1)))}  # fmt: skip
     params = system.default_params._replace(bias=bias, **limits)
-    axes = dict(zip(AXES, _axes(settings, [name for ends in described.imus for name in ends], known), strict=True))
+    axes = dict(zip(AXES, _axes(settings, [name for ends in described.imus for name in ends], known, max), strict=True))
     params = params._replace(pair=params.pair._replace(gyroscope_bias=0.3 if notes else 0.003, **axes))
     params, samples = jax.tree.map(_single, (params, samples))
     info = jax.tree.map(np.asarray, run(system.step, params, system.init(params), samples)[1])

@@ -20,8 +20,12 @@ from jaxest.systems.onsite_simulation import Pair
 
 PAPER = {"half_width": 3, "degree": 5, "plain": True}
 NOISES = {"gyro 0.01 rad/s, accelerometer 0.05 m/s2": (0.01, 0.05), "three times the noise": (0.03, 0.1)}
-_OWN = ("accelerometer_axes", "accelerometer_bias")
-LEFT = ("accelerometer_relative", "accelerometer_bias_deviation")
+LEFT = {
+    "accelerometer_axes": "accelerometer_relative",
+    "accelerometer_bias": "accelerometer_bias_deviation",
+    "accelerometer_turn": "accelerometer_turn",
+}
+"""What a calibration leaves: in the parameters of `onsite`, and in the calibration."""
 CHI2 = 7.815  # 95 % of three degrees of freedom
 
 
@@ -48,7 +52,7 @@ def _live(given: Any, many: Pair, half_width: int = 7, degree: int = 3, plain: b
 def _live_each(given: Any, many: Pair) -> Any:
     """Every rod with what its own calibration left."""
     system = onsite.build()
-    axes: Any = [0 if name in _OWN else None for name in onsite.Params._fields]
+    axes: Any = [0 if name in LEFT else None for name in onsite.Params._fields]
     axes = onsite.Params(*axes)
     final = jax.vmap(lambda p, one: run(system.step, p, system.init(p), one, history=last)[1], in_axes=(axes, 0))
     return final(given, many)
@@ -115,15 +119,15 @@ def fig5(choice: Choice, say: Say) -> Section:
         recorded.append(one)
         calibrated, known = corrected(one, small=choice.small)
         rods.append(calibrated)
-        left = [max(getattr(c, name) for c in known) for name in LEFT]
-        leftover.append(onsite.Params(accelerometer_axes=left[0], accelerometer_bias=left[1]))
+        # Two accelerometers move the difference of their forces by the sum of their variances.
+        left = {name: float(np.sqrt(np.mean([getattr(c, said) ** 2 for c in known]))) for name, said in LEFT.items()}
+        leftover.append(left)
         raw.append(corrected(one, small=choice.small, calibrating=False)[0])
-        prior = onsite_batch.Prior(gyroscope_bias=0.003, accelerometer_bias=left[1], accelerometer_axes=left[0])
+        prior = onsite_batch.Prior(gyroscope_bias=0.003, **left)
         whole.append(jax.tree.map(np.asarray, onsite_batch.choose(rods[-1], prior).estimate))
     truth = np.stack([r.position for r in recorded]), np.stack([r.quaternion for r in recorded])
     given = params()._replace(gyroscope_bias=np.float32(0.003))
-    left = [np.asarray([getattr(one, name) for one in leftover], np.float32) for name in onsite.Params._fields[-2:]]
-    unsure = given._replace(accelerometer_axes=left[0], accelerometer_bias=left[1])
+    unsure = given._replace(**{name: np.asarray([one[name] for one in leftover], np.float32) for name in LEFT})
     say("fig. 5: live")
     rows = _rows(
         "calibrated, live", off(_live_each(unsure, _stacked(rods)), *truth), paper=(3.0, 3.0), coverage=runs >= 20
