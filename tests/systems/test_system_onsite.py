@@ -127,7 +127,12 @@ def test_a_batch_has_the_numbers_of_one(x64, stamps):
         there = rng.uniform(size=(runs, count)) > 0.05
     m = m._replace(gyroscope_p=m.gyroscope_p._replace(valid=there))
     system = onsite.build(half_width=3)
-    off = {"gyroscope_axes": 0.002, "accelerometer_axes": 0.003, "accelerometer_bias": 0.01}
+    off = {
+        "gyroscope_axes": 0.002,
+        "accelerometer_axes": 0.003,
+        "accelerometer_bias": 0.01,
+        "accelerometer_turn": 0.002,
+    }
     params = system.default_params._replace(**off, forgetting_rotation=0.99, forgetting_position=0.98, gate=0.05)
     params = jax.tree.map(np.float64, params)
 
