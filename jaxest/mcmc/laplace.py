@@ -42,11 +42,13 @@ def fit(log_density: Callable[[Array], Array], start: Array, scale: Array) -> No
     slopes = jax.lax.map(jax.grad(log_density), places)
     bend = (slopes[d + 1 :] - slopes[1 : d + 1]) / (2 * _STEP)
     information = scale[None] * (bend + (bend * scale[None] / scale[:, None]).T) / 2  # in units of the scales
-    covariance = jnp.linalg.inv(information)
-    root = scale[:, None] * jnp.linalg.cholesky(covariance)
+    # Where it bends upwards, the size of the bend still tells how far to go (Dauphin et al. 2014).
+    value, vector = jnp.linalg.eigh(information)
+    size = jnp.maximum(jnp.abs(value), 1e-6 * jnp.max(jnp.abs(value)))
+    covariance = product(vector / size[None], vector.T)
     moved = scale * product(covariance, scale * slopes[0])
-    downwards = jnp.all(jnp.isfinite(jnp.linalg.cholesky(information)))
-    good = downwards & jnp.all(jnp.isfinite(root)) & jnp.all(jnp.isfinite(moved))
+    root = scale[:, None] * jnp.linalg.cholesky((covariance + covariance.T) / 2)
+    good = jnp.all(value > 0) & jnp.all(jnp.isfinite(root)) & jnp.all(jnp.isfinite(moved))
     return Normal(start + moved, root, good)
 
 

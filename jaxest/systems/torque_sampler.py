@@ -95,10 +95,11 @@ def tune(
     tuning = chains.untuned(model, robot, prior, data, path, centre)
     check_series(model, robot, data, tuning.linear)
     params = Params(robot, prior, tuning)
-    params, settled = chains.settle(model, params, data)
-    if settled:
+    params, found = chains.settle(model, params, data)
+    if found:
         return params
-    return chains.warm_up(model, params, data, key=key, iterations=iterations, rounds=rounds, over=several())[0]
+    params = chains.warm_up(model, params, data, key=key, iterations=iterations, rounds=rounds, over=several())[0]
+    return chains.settle(model, params, data, 1)[0]  # from where the chains have been there may be a mode in sight
 
 
 def prepare(
