@@ -82,10 +82,11 @@ def problem(small: bool, piece: int | None = None) -> Case:
     """
     robot, model = kinematics.load(models.path("baxter_left_arm")), torque_model.constant(7)
     key = jax.random.key(0)
-    scene = torque_settings.scene(robot, torque_settings.named("paper"), key=key)
-    program = None
+    setting, program = torque_settings.named("paper"), None
     if piece is not None:
-        program = torque_sampler.prepare("gibbs", model, robot, scene.prior, scene.data, count=CHAINS, iterations=piece)
+        shapes = torque_settings.blank(setting)
+        program = torque_sampler.prepare("gibbs", model, robot, *shapes, count=CHAINS, iterations=piece)
+    scene = torque_settings.scene(robot, setting, key=key)
     params = torque_sampler.tune(model, robot, scene.prior, scene.data, key=key, iterations=12 if small else 200)
     starts = torque_sampler.start(model, params, scene.data, key=jax.random.key(1), count=CHAINS)
     if program is not None:

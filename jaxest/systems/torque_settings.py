@@ -16,6 +16,7 @@ from jaxest.kinematics import inverse_dynamics
 from jaxest.kinematics.robot import Robot
 from jaxest.mcmc.model import Data, Prior
 from jaxest.systems.torque import Params, Truth, data_of, default_params, paper_prior, simulate
+from jaxest.systems.torque_model import Inputs
 from jaxest.systems.torque_step import check_step
 from jaxest.types import Array, unknown_name
 
@@ -89,6 +90,14 @@ def scene(robot: Robot, setting: Setting, *, key: Array, missing: float = 0.0) -
     return Scene(data_of(measured), paper_prior(start, 7, variance=VARIANCE), truth)
 
 
+def blank(setting: Setting) -> tuple[Prior, Data]:
+    """Return the prior and a series of the right shapes, all zero, for programs that are compiled before the data."""
+    steps = setting.steps
+    given = Inputs(jnp.zeros(steps - 1), jnp.zeros((steps - 1, 7)), jnp.zeros(steps - 1, jnp.int32))
+    data = Data(jnp.zeros((steps, 7)), jnp.ones((steps, 7), bool), given)
+    return paper_prior(jnp.asarray(setting.start), 7, variance=VARIANCE), data
+
+
 def feedforward(robot: Robot, setting: Setting) -> Array:
     """Return the torques (T, 7) that swing the arm around its start, less the unknown ones; row k ends at k."""
     time = jnp.arange(setting.steps) * setting.dt
@@ -102,5 +111,5 @@ def feedforward(robot: Robot, setting: Setting) -> Array:
     return jnp.concatenate([wanted[:1], wanted[:-1]])
 
 
-__all__ = ["FALLING", "SETTINGS", "SWINGING", "TORQUE", "VARIANCE", "Params", "Scene", "Setting", "check_step",
+__all__ = ["FALLING", "SETTINGS", "SWINGING", "TORQUE", "VARIANCE", "Params", "Scene", "Setting", "blank", "check_step",
            "feedforward", "named", "scene"]  # fmt: skip

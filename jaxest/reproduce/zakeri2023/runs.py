@@ -88,13 +88,14 @@ def run(
     """
     begun = time.perf_counter()
     iterations = 24 if small else iterations
-    one, piece = scene(setting, seed), min(250, iterations)
+    piece = min(250, iterations)
     with jax.enable_x64(True):
         model = torque_model.constant(7)
+        shapes = torque_settings.blank(torque_settings.named(setting))
         program = torque_sampler.prepare(
-            sampler, model, robot(), one.prior, one.data, count=chains, iterations=piece, particles=count
-        )
-        params = tuned(setting, seed, small)
+            sampler, model, robot(), *shapes, count=chains, iterations=piece, particles=count
+        )  # it compiles while the data are drawn and the sampler is tuned
+        one, params = scene(setting, seed), tuned(setting, seed, small)
         start = torque_sampler.start(
             model, params, one.data, key=jax.random.key(seed + 2000), count=chains, spread=spread
         )
