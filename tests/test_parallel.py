@@ -30,6 +30,7 @@ import particle_models as models
 from jaxest import tuning
 from jaxest.filters import full, last, particle, run
 from jaxest.systems import orientation
+from jaxest.types import Reading
 system = orientation.build(sensors=("gyroscope", "accelerometer"))
 params = jax.tree.map(np.float32, system.default_params)
 samples, truth = system.simulate(params, key=jax.random.key(0), steps=50, shaking=1.0)
@@ -49,8 +50,12 @@ tuned = tuning.minimise(problem, batch, starts=starts, evaluations=4, over=paral
 
 model = particle.Model(models.JOINTS, models.BOOTSTRAP)
 given = jax.tree.map(np.float32, models.Params())
-seen, _ = jax.tree.map(np.asarray, models.simulate(given, key=jax.random.key(1)))
-state = jax.tree.map(np.asarray, models.start(given, key=jax.random.key(2), count=64))
+angles = np.linspace([0.1, 0.2], [0.5, 0.9], 8, dtype=np.float32)
+tips = np.stack([np.cos(angles[:, 0]) + np.cos(angles.sum(1)), np.sin(angles[:, 0]) + np.sin(angles.sum(1))], axis=1)
+there = np.ones(8, bool)
+seen = models.Seen(Reading(angles, there[:, None] | (angles > 9)), Reading(tips, there), np.full(8, 0.1, np.float32))
+drawn = np.random.default_rng(0).uniform(-1, 1, (64, 2)).astype(np.float32)
+state = particle.State(drawn, np.full(64, -np.log(64), np.float32), np.int32(0))
 step = parallel.particles.filter_step(model, blocks=4)
 _, info = run(step, given, state, seen, key=jax.random.key(3), history=full)
 here = [np.asarray(x.addressable_data(0)) for x in (info.mean, info.log_likelihood)]

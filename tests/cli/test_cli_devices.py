@@ -8,6 +8,7 @@ import sys
 
 import jax
 import numpy as np
+import pytest
 
 from jaxest.io import SensorLog, Stream, write
 from jaxest.systems import orientation
@@ -26,6 +27,7 @@ def test_a_running_jax_cannot_be_split(invoke):
     assert "JAX runs already" in result.stderr
 
 
+@pytest.mark.slow  # three processes, each of which compiles
 def test_starts_are_spread_and_processes_joined(tmp_path):
     """Two processes, each with two devices, tune what one does; the first alone writes."""
     system = orientation.build(sensors=("gyroscope", "accelerometer"))
