@@ -12,7 +12,7 @@ Not here: files (`jaxest.io.clouds`), poses and filters (`jaxest.systems.slam`).
 from jaxest.mapping.layout import Grid, Hashed, Layout
 from jaxest.mapping.neighbours import Neighbours, nearest
 from jaxest.mapping.planes import Planes, fit
-from jaxest.mapping.voxels import VoxelMap, carried, empty, insert, merge, occupied, shift
+from jaxest.mapping.voxels import VoxelMap, carried, empty, insert, likeliest, merge, occupied, shift
 
 __all__ = [
     "Grid",
@@ -25,6 +25,7 @@ __all__ = [
     "empty",
     "fit",
     "insert",
+    "likeliest",
     "merge",
     "nearest",
     "occupied",

@@ -12,6 +12,7 @@ from jaxest.mapping.voxels import VoxelMap
 from jaxest.types import Array
 
 INDEX = 127  # bits of a distance that make room for the candidate's number
+MOST = 2000.0  # readings of a voxel that count
 FAR = 0x7FFFFFFF
 
 
@@ -25,7 +26,14 @@ class Neighbours(NamedTuple):
 
 
 def nearest(
-    layout: Layout, chart: VoxelMap, point: Array, *, k: int = 5, cap: float = 0.5, reach: int = 2
+    layout: Layout,
+    chart: VoxelMap,
+    point: Array,
+    scatter: Array | None = None,
+    *,
+    k: int = 5,
+    cap: float = 0.5,
+    reach: int = 2,
 ) -> Neighbours:
     """Find the nearest points of a map.
 
@@ -35,6 +43,9 @@ def nearest(
         layout: the map's.
         chart: the map.
         point: (n, 3) m.
+        scatter: (n,) m, or None: how far each point may be from where it seems. Neighbours are then ranked by how
+            likely they are to be of the same surface, not by distance alone: one that was read often comes before one
+            that was read once, which may be there by its own error, and by the point's.
         k: neighbours.
         cap: m, farther ones do not count. Exact up to `reach` cells' width; beyond that some may be missed.
         reach: cells looked at on each side: 1 makes 27, 2 makes 125.
@@ -56,7 +67,11 @@ def nearest(
     row = jnp.where(slot < layout.slots, chart.table[jnp.minimum(slot, layout.slots - 1)], -1)
     at = jnp.maximum(row, 0)
     squared = sum((chart.point[:, i][at] - v[None]) ** 2 for i, v in enumerate((x, y, z)))
-    squared = jnp.where((row >= 0) & (squared < cap * cap), squared, jnp.inf).astype(jnp.float32)
+    there = (row >= 0) & (squared < cap * cap)
+    if scatter is not None:
+        rare = 2 * jnp.log(MOST / jnp.clip(chart.total[:, 3], 1, MOST))
+        squared = squared + scatter[None] ** 2 * rare[at]
+    squared = jnp.where(there, squared, jnp.inf).astype(jnp.float32)
     # Without the barrier XLA gathers anew in each of the k passes.
     at, squared = jax.lax.optimization_barrier((at, jax.lax.stop_gradient(squared)))
     return _smallest(at, squared, k)

@@ -24,12 +24,20 @@ class Planes(NamedTuple):
     """(n,) bool, enough neighbours that do not lie on a line."""
 
 
-def fit(points: tuple[Array, Array, Array], there: Array, *, least: int = 3, line: float = 0.03) -> Planes:
+def fit(
+    points: tuple[Array, Array, Array],
+    there: Array,
+    weight: Array | None = None,
+    *,
+    least: int = 3,
+    line: float = 0.03,
+) -> Planes:
     """Lay a plane through the k neighbours of each of n points, about their centroid.
 
     Args:
         points: x, y and z (k, n) m; finite everywhere.
         there: (k, n) bool, which neighbours exist.
+        weight: (k, n) by how much each counts, positive; all alike if None.
         least: neighbours that a plane needs.
         line: m, a smaller `spread` makes a line of it.
 
@@ -40,11 +48,12 @@ def fit(points: tuple[Array, Array, Array], there: Array, *, least: int = 3, lin
     3 x 3 covariance by the trigonometric formula, the normal as the largest cross product of two rows of A - lambda I.
     """
     x, y, z = points
-    count = jnp.sum(there, axis=0).astype(x.dtype)
-    share = 1 / jnp.maximum(count, 1)
+    count = jnp.sum(there, axis=0)
+    share = jnp.where(there, 1 if weight is None else weight, 0).astype(x.dtype)
+    share = share / jnp.where(count > 0, jnp.sum(share, axis=0), 1)[None]
 
     def mean(v: Array) -> Array:
-        return jnp.sum(jnp.where(there, v, 0), axis=0) * share
+        return jnp.sum(share * jnp.where(there, v, 0), axis=0)
 
     center = (mean(x), mean(y), mean(z))
     dx, dy, dz = (v - c[None] for v, c in zip(points, center, strict=True))

@@ -8,6 +8,8 @@ from jaxest.mapping.layout import Layout, cells
 from jaxest.types import Array, ArrayLike
 
 FREE = -1
+# Deviations of a reading at which its voxel is looked for; equals go to the first.
+OFFSETS = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0)
 
 
 class VoxelMap(NamedTuple):
@@ -61,6 +63,7 @@ def insert(
     valid: Array,
     extra: Array | None = None,
     *,
+    filed: Array | None = None,
     most: float = 1000.0,
     central: bool = False,
 ) -> VoxelMap:
@@ -72,13 +75,14 @@ def insert(
         point: (n, 3) m; any finite number where not valid.
         valid: (n,) bool.
         extra: (n, d) what the points carry, if the map carries anything.
+        filed: (n, 3) m, in whose voxels the points count, as `likeliest` finds them; the points themselves if None.
         most: a voxel's mean moves as if it had seen at most about this many points.
         central: keep the point nearest to the voxel's centre instead of the mean.
 
     Returns:
         The map. Points that find no room are counted in `overflow` and change nothing else.
     """
-    rows, chart = _rows(layout, chart, point, valid)
+    rows, chart = _rows(layout, chart, point if filed is None else filed, valid)
     capacity = chart.point.shape[0]
     ones = jnp.ones((point.shape[0], 1), point.dtype)
     new = jnp.concatenate([point, ones] + ([] if extra is None else [extra]), axis=1)
@@ -94,6 +98,33 @@ def insert(
     touched = total[jnp.minimum(rows, capacity - 1), :4]
     mean = touched[:, :3] / jnp.where(touched[:, 3:] > 0, touched[:, 3:], 1)
     return chart._replace(total=total, point=chart.point.at[rows].set(mean, mode="drop"))
+
+
+def likeliest(layout: Layout, chart: VoxelMap, point: Array, ray: Array, scatter: Array) -> Array:
+    """Say which voxel a reading of a surface belongs to: of those along its ray, one that was read often and is near.
+
+    Points of one wall fall on both sides of a voxel's border when they scatter. Averaged on each side, the wall would
+    have two layers, each off by the truncation of its noise, and a reading would be compared with the one it fell to.
+
+    Args:
+        layout: the map's.
+        chart: the map.
+        point: (n, 3) m, readings.
+        ray: (n, 3) unit, along which they scatter.
+        scatter: (n,) m, by how much.
+
+    Returns:
+        (n, 3) m, points in those voxels: the readings themselves where none is likelier.
+    """
+    steps = jnp.asarray(OFFSETS, point.dtype)[:, None, None]
+    along = point[None] + steps * (scatter[:, None] * ray)[None]
+    x, y, z = (along[..., i] for i in range(3))
+    slot = layout.slot(cells(layout, (x, y, z)))
+    row = jnp.where(slot < layout.slots, chart.table[jnp.minimum(slot, layout.slots - 1)], FREE)
+    read = jnp.where(row >= 0, chart.total[jnp.maximum(row, 0), 3], 0)
+    score = jnp.log(jnp.maximum(read, 0.5)) - steps[..., 0] ** 2 / 2
+    best = jnp.argmax(score, axis=0)
+    return jnp.take_along_axis(along, best[None, :, None], axis=0)[0]
 
 
 def _rows(layout: Layout, chart: VoxelMap, point: Array, valid: Array) -> tuple[Array, VoxelMap]:
@@ -174,4 +205,4 @@ def merge(layout: Layout, one: VoxelMap, other: VoxelMap) -> VoxelMap:
     return chart._replace(total=total, point=chart.point.at[rows].set(mean, mode="drop"))
 
 
-__all__ = ["FREE", "VoxelMap", "carried", "empty", "insert", "merge", "occupied", "shift"]
+__all__ = ["FREE", "VoxelMap", "carried", "empty", "insert", "likeliest", "merge", "occupied", "shift"]

@@ -41,6 +41,8 @@ class Rays(NamedTuple):
     """(L, Z) m."""
     maximum: NDArray[np.float64]
     """(L, Z) m."""
+    sensors: NDArray[np.int64]
+    """(L,) how many cast them."""
 
 
 class Body(NamedTuple):
@@ -124,7 +126,8 @@ def _rays(robot: Robot, sensors: Sequence[Proximity]) -> tuple[tuple[int, ...], 
         spare = most - len(joined[0])
         rows.append([np.concatenate([c, np.repeat(np.asarray(f)[None], spare, axis=0)])
                      for c, f in zip(joined, fill, strict=True)])  # fmt: skip
-    return scanned, Rays(*(np.stack(column) for column in zip(*rows, strict=True))), start
+    counts = np.array([owners.count(link) for link in scanned])
+    return scanned, Rays(*(np.stack(column) for column in zip(*rows, strict=True)), counts), start
 
 
 def _check(one: Proximity, origin: NDArray[np.float64], away: NDArray[np.float64]) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxest.filters.kalman import information_gain
 from jaxest.filters.kalman.factors import reanchor
 from jaxest.filters.kalman.gaussian import product, sandwich, symmetric
-from jaxest.mapping import Layout, VoxelMap, carried, insert, shift
+from jaxest.mapping import Layout, VoxelMap, carried, insert, likeliest, shift
 from jaxest.systems import _slam_body as bodies
 from jaxest.systems._slam_body import Body, Mean
 from jaxest.systems._slam_rows import Points, Pose, Sums, match, moved, point_slope, sums, world
@@ -20,6 +20,8 @@ DOUBT = 0.05  # rad or m: a bias known worse is tried
 ALIKE = 1e-4  # share by which one start must fit better than another
 STEP = 5e-3  # m or rad: planes are looked for again when a link has moved by more
 BEND = 1e-3  # rad or m: the map is bent at once when a bias has changed by more, and at the end of the step anyway
+LASTS = 25.0  # scans: an error of the link's that never changes counts as new that seldom
+STILL = 500  # scans of a link that stands still tell as much as two
 REACH = 1.0  # m, at which a rotation counts as a motion
 
 
@@ -53,10 +55,10 @@ class Seen(NamedTuple):
     """What a link made of its points; leaves get a leading axis of L."""
 
     sums: Sums
-    explained: Array
-    """() chi-square of the rows that count, after the update."""
+    odd: Array
+    """() as `Rows.odd`, where planes were looked for last."""
     surprise: Array
-    """() squared length of the correction in the prediction's deviations, by the state's dimension."""
+    """() squared length of the correction in the prediction's deviations, by the dimensions a link has."""
     rounds: Array
     """() int32, searches for planes."""
     settled: Array
@@ -66,8 +68,9 @@ class Seen(NamedTuple):
 
 
 def walk(
-    body: Body, config: Config, params: Any, start: Carry, reading: Array, noise: Array, points: Points, index: Array
-) -> tuple[Carry, Seen]:
+    body: Body, config: Config, params: Any, start: Carry, reading: Array, noise: Array, points: Points, scans: Array,
+    index: Array,
+) -> tuple[Carry, Seen]:  # fmt: skip
     """Update with each scanned link's points in turn, parents first.
 
     Args:
@@ -78,6 +81,7 @@ def walk(
         reading: (n,) encoders.
         noise: (n,) variance of each joint's reading, rad2 or m2, new at each step.
         points: of all links, (L, Z, ...).
+        scans: (L,) how many of a link's scans tell as much as one, as `repeats` says.
         index: () int32, steps seen: it tells which zones' turn it is.
 
     Returns:
@@ -87,17 +91,45 @@ def walk(
     parts = max(1, points.valid.shape[1] // config.points)
     turn = jnp.mod(index, parts)
 
-    def link(carry: Carry, row: tuple[Array, Points]) -> tuple[Carry, Seen]:
-        at, mine = row
+    def link(carry: Carry, row: tuple[Array, Points, Array, Array]) -> tuple[Carry, Seen]:
+        at, mine, count, alike = row
         here = _pose(carry.links, at)
         slope = jnp.concatenate([here.turn, here.travel])[:, roots:]
-        own = jnp.concatenate([jnp.full(3, params.jitter_rotation**2), jnp.full(3, params.jitter_position**2)])
-        spare = product(slope * noise[None], slope.T) + jnp.diag(own.astype(slope.dtype))
+        spare = product(slope * noise[None], slope.T) + jnp.diag(_stray(params, mine, count, alike))
         carry, seen = _register(body, config, params, carry, here, mine, spare, parts, turn)
         carry = carry._replace(links=bodies.links(body, carry.mean, reading, body.scanned))
         return _learn(config, params, carry, _pose(carry.links, at), mine, seen, roots)
 
-    return jax.lax.scan(link, start, (jnp.arange(len(body.scanned)), points))
+    sensors = jnp.asarray(body.rays.sensors, start.covariance.dtype)
+    return jax.lax.scan(link, start, (jnp.arange(len(body.scanned)), points, sensors, scans))
+
+
+def repeats(params: Any, links: bodies.Links, before: bodies.Links, index: Array) -> Array:
+    """Say how many scans of each link (L,) tell as much about where it is as one whose errors are its own.
+
+    From one place the map is wrong by the same in each scan: a link that goes a fraction of `renewal` in a step needs
+    as many steps until its errors are others. At the first step it has seen none before.
+
+    Args:
+        params: the system's.
+        links: the scanned links.
+        before: the same at the step before.
+        index: () int32, steps seen.
+    """
+    turned = jnp.sum(links.rotation * before.rotation, axis=(1, 2))
+    gone = jnp.linalg.norm(links.position - before.position, axis=1) + REACH * jnp.sqrt(jnp.maximum(3 - turned, 0))
+    return jnp.where(index == 0, 1, 1 + 2 * params.renewal / (gone + params.renewal / STILL))
+
+
+def _stray(params: Any, points: Points, sensors: Array, scans: Array) -> Array:
+    """Return the variances (6,) of a link's rotation and position that one scan leaves, however many its points."""
+    share = params.stray * params.noise
+    count = jnp.maximum(jnp.sum(points.valid), 1)
+    far = jnp.sum(jnp.where(points.valid, points.reach**2, 0)) / count
+    # Sensors that point elsewhere do so in every scan.
+    rotation = scans * (params.stray_rotation**2 + share**2) + LASTS * params.tilt**2 / sensors
+    position = scans * (params.stray_position**2 + share**2 * far)
+    return jnp.concatenate([jnp.full(3, rotation), jnp.full(3, position)])
 
 
 def subset(x: Array, parts: int, turn: Array) -> Array:
@@ -118,7 +150,7 @@ class Fit(NamedTuple):
     """(D,) from the prediction."""
     covariance: Array
     sums: Sums
-    explained: Array
+    odd: Array
     surprise: Array
     misfit: Array
     """() of the points where they were looked for."""
@@ -139,16 +171,14 @@ def _register(
     def once(v: Array, turn: Array) -> Fit:
         some = jax.tree.map(lambda x: subset(x, parts, turn), points)
         offset = mean.bias + v[roots:] - carry.reference
-        rows = match(config.layout, carry.chart, params, moved(pose, v), some, offset, roots)
+        rows = match(config.layout, carry.chart, params, moved(pose, v), some, offset, covariance)
         found = sums(rows, some, spare)
         enough = found.inliers >= config.least
         information = jnp.where(enough, found.information, 0)
         pull = jnp.where(enough, found.pull, 0)
         gained = information_gain(covariance, information, pull + product(information, v))
-        step = gained.correction - v
-        explained = found.square + jnp.sum(step * (product(information, step) - 2 * pull))
-        surprise = jnp.sum(gained.correction * gained.dual) / body.size
-        return Fit(gained.correction, gained.covariance, found, explained, surprise, rows.misfit)
+        surprise = jnp.sum(gained.correction * gained.dual) / min(6, body.size)
+        return Fit(gained.correction, gained.covariance, found, rows.odd, surprise, rows.misfit)
 
     def size(v: Array) -> Array:
         v = jax.lax.stop_gradient(v)
@@ -172,7 +202,7 @@ def _register(
 
     # Trials and iterations are one scan, so that their program is there once.
     zero, none = jnp.zeros(body.size, covariance.dtype), jnp.int32(0)
-    nothing = Sums(jnp.zeros_like(covariance), zero, zero[0], jnp.zeros_like(spare), none, none, none)
+    nothing = Sums(jnp.zeros_like(covariance), zero, jnp.zeros_like(spare), none, none, none)
     first = (Fit(zero, covariance, nothing, zero[0], zero[0], zero[0]), zero, (zero[0] + jnp.inf, zero, zero[0]), none)
     offsets = jnp.asarray(np.concatenate([np.repeat(TRIALS, parts), np.zeros(config.rounds)]), zero.dtype)
     trial = np.arange(len(offsets)) < len(TRIALS) * parts
@@ -184,7 +214,7 @@ def _register(
         after = symmetric(sandwich(frame, after))
     settled = size(v - last) <= 4 * STEP
     done = rebased(carry._replace(mean=bodies.retract(body, mean, v), covariance=after))
-    return done, Seen(fit.sums, fit.explained, fit.surprise, count, settled, jnp.bool_(True))
+    return done, Seen(fit.sums, fit.odd, fit.surprise, count, settled, jnp.bool_(True))
 
 
 def _doubt(covariance: Array, pose: Pose, roots: int) -> tuple[Array, Array]:
@@ -206,9 +236,12 @@ def _learn(
     x = x - product(slope, carry.mean.bias - carry.reference)
     where = product(pose.travel, product(carry.covariance, pose.travel.T))
     kept = jnp.trace(where) < params.admit**2
+    ray, scatter = product(points.ray, pose.rotation.T), params.noise * points.reach
+    filed = None if config.central else likeliest(config.layout, carry.chart, x, ray, scatter)
     chart = insert(
-        config.layout, carry.chart, x, points.valid & kept, slope.reshape(len(x), -1), central=config.central
-    )
+        config.layout, carry.chart, x, points.valid & kept, slope.reshape(len(x), -1), filed=filed,
+        central=config.central,
+    )  # fmt: skip
     return carry._replace(chart=chart), seen._replace(kept=kept)
 
 
@@ -224,4 +257,4 @@ def rebased(carry: Carry, least: float = BEND) -> Carry:
     return carry._replace(chart=chart, reference=reference)
 
 
-__all__ = ["Carry", "Config", "Seen", "rebased", "subset", "walk"]
+__all__ = ["Carry", "Config", "Seen", "rebased", "repeats", "subset", "walk"]

@@ -51,6 +51,8 @@ class Rows(NamedTuple):
     """(n,) bool, points with a plane beside them, whatever the residual."""
     misfit: Array
     """() how badly the points fit in all: squared residuals in units of the gate, 1 for each that does not fit."""
+    odd: Array
+    """() sum of the squared residuals that count, in the variance that readings and planes alone give them."""
 
 
 class Sums(NamedTuple):
@@ -60,8 +62,6 @@ class Sums(NamedTuple):
     """(D, D)."""
     pull: Array
     """(D,), of minus the residuals."""
-    square: Array
-    """() weighted sum of squares."""
     pose: Array
     """(6, 6) H' R^-1 H of the link's own pose, [rotation, translation]."""
     inliers: Array
@@ -92,7 +92,9 @@ def point_slope(pose: Pose, x: Array) -> Array:
     return jnp.stack([t + pose.travel[i][None] for i, t in enumerate(turned)], axis=1)
 
 
-def match(layout: Layout, chart: VoxelMap, params: Any, pose: Pose, points: Points, offset: Array, roots: int) -> Rows:
+def match(
+    layout: Layout, chart: VoxelMap, params: Any, pose: Pose, points: Points, offset: Array, covariance: Array
+) -> Rows:
     """Find a plane beside each point, and write the distance to it as a row.
 
     Args:
@@ -102,39 +104,63 @@ def match(layout: Layout, chart: VoxelMap, params: Any, pose: Pose, points: Poin
         pose: where the link is taken to be.
         points: what it sees.
         offset: (n,) the biases' mean less that at which the map's points stand.
-        roots: columns of the state that are no biases, D - n.
+        covariance: (D, D) of the state, of which the last n are the biases.
 
     Returns:
         The rows.
     """
     x = world(pose, points.local)
-    near = nearest(layout, chart, x)
-    neighbours = [chart.point[:, i][near.row] for i in range(3)]
-    planes = fit((neighbours[0], neighbours[1], neighbours[2]), near.there)
     scatter = params.noise * points.reach
+    ray = product(points.ray, pose.rotation.T)
+    near = nearest(layout, chart, x, 2**0.5 * scatter)  # of the point, and of one that was read once
+    neighbours = [chart.point[:, i][near.row] for i in range(3)]
+    read = jnp.where(near.there, chart.total[:, 3][near.row], 1)
+    weight = 1 / (params.uneven**2 + scatter[None] ** 2 / read)
+    planes = fit((neighbours[0], neighbours[1], neighbours[2]), near.there, weight)
     found = points.valid & planes.valid & (planes.thickness < params.thickness + scatter)
     n = planes.normal
-    count = jnp.maximum(jnp.sum(near.there, axis=0), 1).astype(x.dtype)
+    weight = jnp.where(near.there, weight, 0)
+    share = weight / jnp.maximum(jnp.sum(weight, axis=0), 1)[None]
     kept = jnp.where(near.there[..., None], carried(chart, near.row), 0)
-    moves = (jnp.sum(kept, axis=0) / count[:, None]).reshape(len(x), 3, pose.turn.shape[1] - roots)
+    moves = jnp.sum(share[..., None] * kept, axis=0).reshape(len(x), 3, len(offset))
     along = jnp.sum(n[:, :, None] * moves, axis=1)
+    roots = len(covariance) - len(offset)
     slope = point_slope(pose, x)
     design = jnp.sum(n[:, :, None] * slope, axis=1)
-    design = jnp.concatenate([design[:, :roots], design[:, roots:] - along], axis=1)
+    whole = design[:, roots:]
+    design = jnp.concatenate([design[:, :roots], whole - along], axis=1)
     away = x - planes.center
     residual = jnp.sum(n * away, axis=1) - product(along, offset)
     arm = x - pose.position[None]
     lever = jnp.concatenate([jnp.cross(arm, n), n], axis=1)
-    share = residual**2 / (params.gate**2 * points.reach + 9 * scatter**2)
-    inside = found & (share < 1)
+    shares = residual**2 / (params.gate**2 * points.reach + 9 * scatter**2)
+    inside = found & (shares < 1)
     # Planes of a few readings each are wrong alike for all that is compared with them, and for scans to come.
-    read = jnp.sum(jnp.where(near.there, chart.total[:, 3][near.row], 0), axis=0) / count
-    slant = jnp.sum(n * product(points.ray, pose.rotation.T), axis=1)
-    variance = params.floor**2 + (scatter * slant) ** 2 + planes.thickness**2
-    variance = variance * (1 + params.fresh / jnp.maximum(read, 1))
-    variance = variance + (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0)
-    misfit = jnp.sum(jnp.where(points.valid, jnp.where(inside, share, 1), 0))
-    return Rows(residual, design, lever, jnp.where(inside, 1 / variance, 0), found, misfit)
+    read = jnp.sum(share * read, axis=0)
+    slant = jnp.sum(n * ray, axis=1)
+    white = (scatter * slant) ** 2
+    tilted = (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0)
+    lasting = params.lasting**2 + (params.share * scatter) ** 2
+    once = 1 / jnp.maximum(read, 1)
+    variance = (params.floor**2 + white + planes.thickness**2) * (1 + params.fresh * once) + tilted
+    variance = variance + params.rough * scatter**2 * once
+    again = _alike(whole, along, covariance[roots:, roots:]) * read
+    variance = (variance + again * lasting) ** 2 / variance
+    odd = jnp.sum(jnp.where(inside, residual**2 / (white * (1 + 1 / read) + lasting + tilted + params.uneven**2), 0))
+    misfit = jnp.sum(jnp.where(points.valid, jnp.where(inside, shares, 1), 0))
+    return Rows(residual, design, lever, jnp.where(inside, 1 / variance, 0), found, misfit, odd)
+
+
+def _alike(whole: Array, along: Array, covariance: Array) -> Array:
+    """Return how far (n,) planes move with what is unknown of the biases as their points do, 0 to 1.
+
+    So much of a plane was read by what is compared with it now, or by what hangs on the same joints: it was compared
+    before, with the same errors that no reading takes away. If N readings of scatter s share an error e, they tell
+    N / (s^2 + N e^2), and the N-th of them so little more than those before that it counts as of (s^2 + N e^2)^2 / s^2.
+    """
+    spread = product(whole, covariance)
+    total = jnp.sum(spread * whole, axis=1)
+    return jnp.clip(jnp.sum(spread * along, axis=1) / jnp.where(total > 0, total, 1), 0, 1)
 
 
 def sums(rows: Rows, points: Points, spare: Array) -> Sums:
@@ -153,10 +179,9 @@ def sums(rows: Rows, points: Points, spare: Array) -> Sums:
     held = product(cross, shared)
     information = symmetric(gram[state, state] - product(held, cross.T))
     pull = -(gram[state, -1] - product(held, gram[own, -1]))
-    square = gram[-1, -1] - jnp.sum(gram[own, -1] * product(shared, gram[own, -1]))
     used = rows.weight > 0
     counts = (jnp.sum(m, dtype=jnp.int32) for m in (used, rows.matched, points.valid))
-    return Sums(information, pull, square, pose, *counts)
+    return Sums(information, pull, pose, *counts)
 
 
 __all__ = ["Points", "Pose", "Rows", "Sums", "match", "moved", "point_slope", "sums", "world"]

@@ -27,7 +27,7 @@ from jaxest.mapping import Hashed, Layout, VoxelMap, empty
 from jaxest.sensors.proximity import Proximity
 from jaxest.systems import _slam_body as bodies
 from jaxest.systems._slam_body import Body, Mean
-from jaxest.systems._slam_link import Carry, Config, Seen, rebased, walk
+from jaxest.systems._slam_link import Carry, Config, Seen, rebased, repeats, walk
 from jaxest.systems._slam_rows import Points
 from jaxest.systems._slam_simulation import simulate
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, Reading, System
@@ -43,21 +43,34 @@ class Params(NamedTuple):
 
     noise: ArrayLike = 0.01 / 2.7
     """() standard deviation of a range, by the range."""
-    floor: ArrayLike = 0.032
+    floor: ArrayLike = 0.02
     """() m, standard deviation of a distance to a plane however near: rows on one plane share its error, and are
     counted for less instead."""
+    uneven: ArrayLike = 0.01
+    """() m, standard deviation of a voxel's point however often it was read."""
+    lasting: ArrayLike = 0.005
+    """() m, of the distance to a plane that is the same in every scan, without noise."""
+    share: ArrayLike = 0.3
+    """() the same, by the standard deviation of a reading."""
     fresh: ArrayLike = 5.0
     """() by how much more a distance's variance is, for a plane of voxels that were read once each."""
+    rough: ArrayLike = 30.0
+    """() by how much a distance's variance is more than that, by the readings' where voxels were read once: such planes
+    lie askew."""
     tilt: ArrayLike = 0.0
     """() rad, standard deviation of a sensor's direction about each axis."""
     gate: ArrayLike = 0.04
     """() m^0.5, a residual beyond this times the root of its range, and three times its noise, does not count."""
     thickness: ArrayLike = 0.005
     """() m, of a plane at most, beyond a range's standard deviation."""
-    jitter_position: ArrayLike = 0.008
-    """() m, standard deviation along each axis of what one scan can place a link to."""
-    jitter_rotation: ArrayLike = 0.0055
+    stray_position: ArrayLike = 0.001
+    """() m, standard deviation along each axis of where the map's own errors place a link, without noise."""
+    stray_rotation: ArrayLike = 0.0007
     """() rad, the same of its rotation."""
+    stray: ArrayLike = 0.1
+    """() what noise adds to both: by the standard deviation of a reading, and by that of its direction from afar."""
+    renewal: ArrayLike = 0.2
+    """() m, that a link must go to see the map with other errors; what it sees before that tells little new."""
     bias_start: ArrayLike = 0.1
     """() or (n,) rad or m, standard deviation of a bias before the first scan."""
     bias_walk: ArrayLike = 3e-4
@@ -140,7 +153,7 @@ class Info(NamedTuple):
     weakest: Array
     """(L,) smallest eigenvalue of H' R^-1 H of the link's own pose: what its scan does not see is small."""
     nis: Array
-    """(L,) chi-square of the points that counted, divided by their number."""
+    """(L,) mean square of the residuals that counted, in the variance that readings and planes give them: about 1."""
     link_status: Array
     """(B,) int32, `OK`, `FOLLOWS`, `LOST` or `UNSEEN`."""
     voxels: Array
@@ -237,7 +250,9 @@ def _step(
     links = bodies.links(body, mean, reading, body.scanned)
     start = Carry(mean, covariance, state.chart, state.mean.bias, links)
     points = points_of(body, measurement.ranges)
-    carry, seen = walk(body, config, params, start, reading, noise, points, state.index)
+    before = bodies.links(body, state.mean, state.reading, body.scanned)
+    scans = repeats(params, links, before, state.index)
+    carry, seen = walk(body, config, params, start, reading, noise, points, scans, state.index)
     carry = rebased(carry, 0.0)
     info = _info(body, config, params, carry, seen, reading, noise, broken, state.chart)
     return State(carry.mean, carry.covariance, carry.chart, reading, state.index + 1), info
@@ -311,7 +326,7 @@ def _info(
         s.matched,
         s.seen,
         jnp.maximum(jnp.linalg.eigvalsh(s.pose)[:, 0], 0),
-        seen.explained / used,
+        seen.odd / used,
         link,
         carry.chart.used,
         carry.chart.overflow,

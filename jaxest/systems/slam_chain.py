@@ -308,7 +308,7 @@ def _update(
 
     def once(v: Array) -> Any:
         at = moved(start, v)
-        found = match(config.layout, chart, rows, at, points, jnp.zeros(0, dtype), 7)
+        found = match(config.layout, chart, rows, at, points, jnp.zeros(0, dtype), prior.covariance)
         found = found._replace(weight=jnp.where(found.weight > 0, 1 / params.variance, 0))
         s = sums(found, points, none)
         enough = s.inliers >= config.least
