@@ -127,7 +127,8 @@ def _rays(robot: Robot, sensors: Sequence[Proximity]) -> tuple[tuple[int, ...], 
         rows.append([np.concatenate([c, np.repeat(np.asarray(f)[None], spare, axis=0)])
                      for c, f in zip(joined, fill, strict=True)])  # fmt: skip
     counts = np.array([owners.count(link) for link in scanned])
-    return scanned, Rays(*(np.stack(column) for column in zip(*rows, strict=True)), counts), start
+    index, origin, direction, minimum, maximum = (np.stack(column) for column in zip(*rows, strict=True))
+    return scanned, Rays(index, origin, direction, minimum, maximum, counts), start
 
 
 def _check(one: Proximity, origin: NDArray[np.float64], away: NDArray[np.float64]) -> None:

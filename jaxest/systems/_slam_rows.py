@@ -48,7 +48,7 @@ class Rows(NamedTuple):
     weight: Array
     """(n,) 1/m2; 0 where a row does not count."""
     matched: Array
-    """(n,) bool, points with a plane beside them, whatever the residual."""
+    """(n,) bool, points with enough of the map about them, whether it makes a plane that they lie on or not."""
     misfit: Array
     """() how badly the points fit in all: squared residuals in units of the gate, 1 for each that does not fit."""
     odd: Array
@@ -67,7 +67,7 @@ class Sums(NamedTuple):
     inliers: Array
     """() int32, rows that count."""
     matched: Array
-    """() int32, points with a plane."""
+    """() int32, points with enough of the map about them."""
     seen: Array
     """() int32, points there were."""
 
@@ -117,7 +117,8 @@ def match(
     read = jnp.where(near.there, chart.total[:, 3][near.row], 1)
     weight = 1 / (params.uneven**2 + scatter[None] ** 2 / read)
     planes = fit((neighbours[0], neighbours[1], neighbours[2]), near.there, weight)
-    found = points.valid & planes.valid & (planes.thickness < params.thickness + scatter)
+    known = points.valid & planes.valid
+    found = known & (planes.thickness < params.thickness + scatter)
     n = planes.normal
     weight = jnp.where(near.there, weight, 0)
     share = weight / jnp.maximum(jnp.sum(weight, axis=0), 1)[None]
@@ -148,7 +149,7 @@ def match(
     variance = (variance + again * lasting) ** 2 / variance
     odd = jnp.sum(jnp.where(inside, residual**2 / (white * (1 + 1 / read) + lasting + tilted + params.uneven**2), 0))
     misfit = jnp.sum(jnp.where(points.valid, jnp.where(inside, shares, 1), 0))
-    return Rows(residual, design, lever, jnp.where(inside, 1 / variance, 0), found, misfit, odd)
+    return Rows(residual, design, lever, jnp.where(inside, 1 / variance, 0), known, misfit, odd)
 
 
 def _alike(whole: Array, along: Array, covariance: Array) -> Array:

@@ -13,7 +13,7 @@ Source: Iwao 2025, whose eq. 20 drops those cross-covariances; eqs. 19-31.
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from jaxest.filters.kalman.gaussian import product, symmetric
 from jaxest.filters.kalman.model import clean
 from jaxest.kinematics import Robot
 from jaxest.manifolds import quaternion
+from jaxest.manifolds._algebra import skew
 from jaxest.mapping import Hashed, Layout, VoxelMap, empty
 from jaxest.sensors.proximity import Proximity
 from jaxest.systems import _slam_body as bodies
@@ -30,138 +31,11 @@ from jaxest.systems._slam_body import Body, Mean
 from jaxest.systems._slam_link import Carry, Config, Seen, rebased, repeats, walk
 from jaxest.systems._slam_rows import Points
 from jaxest.systems._slam_simulation import simulate
-from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, Reading, System
+from jaxest.systems._slam_types import FOLLOWS, FULL, LOST, UNSEEN, Fixed, Free, Info, Params, State
+from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, Reading, System
 
-FOLLOWS, LOST, UNSEEN, FULL = 4, 5, 6, 7
-"""Status of a link: kept its prediction; its points contradict the map; has no sensors; and of a map that is full."""
-HALF = 0.5  # share of matched points that must fit
+FITS = 0.3  # share of the points with the map about them that must lie on its planes
 SURPRISE = 9.0  # squared deviations per dimension by which a link's points may correct the prediction
-
-
-class Params(NamedTuple):
-    """What may be tuned."""
-
-    noise: ArrayLike = 0.01 / 2.7
-    """() standard deviation of a range, by the range."""
-    floor: ArrayLike = 0.02
-    """() m, standard deviation of a distance to a plane however near: rows on one plane share its error, and are
-    counted for less instead."""
-    uneven: ArrayLike = 0.01
-    """() m, standard deviation of a voxel's point however often it was read."""
-    lasting: ArrayLike = 0.005
-    """() m, of the distance to a plane that is the same in every scan, without noise."""
-    share: ArrayLike = 0.3
-    """() the same, by the standard deviation of a reading."""
-    fresh: ArrayLike = 5.0
-    """() by how much more a distance's variance is, for a plane of voxels that were read once each."""
-    rough: ArrayLike = 30.0
-    """() by how much a distance's variance is more than that, by the readings' where voxels were read once: such planes
-    lie askew."""
-    tilt: ArrayLike = 0.0
-    """() rad, standard deviation of a sensor's direction about each axis."""
-    gate: ArrayLike = 0.04
-    """() m^0.5, a residual beyond this times the root of its range, and three times its noise, does not count."""
-    thickness: ArrayLike = 0.005
-    """() m, of a plane at most, beyond a range's standard deviation."""
-    stray_position: ArrayLike = 0.001
-    """() m, standard deviation along each axis of where the map's own errors place a link, without noise."""
-    stray_rotation: ArrayLike = 0.0007
-    """() rad, the same of its rotation."""
-    stray: ArrayLike = 0.1
-    """() what noise adds to both: by the standard deviation of a reading, and by that of its direction from afar."""
-    renewal: ArrayLike = 0.2
-    """() m, that a link must go to see the map with other errors; what it sees before that tells little new."""
-    bias_start: ArrayLike = 0.1
-    """() or (n,) rad or m, standard deviation of a bias before the first scan."""
-    bias_walk: ArrayLike = 3e-4
-    """() or (n,) rad or m per root s, growth of it."""
-    encoder: ArrayLike = 1e-4
-    """() or (n,) rad or m, white noise of a reading."""
-    missing: ArrayLike = 0.1
-    """() or (n,) rad or m, how far a joint may be from its last reading while none comes."""
-    root_walk: ArrayLike = 0.0316
-    """() or (6,) m and rad per root s, its random walk where no odometry comes."""
-    travel: ArrayLike = 0.01
-    """() m, standard deviation of a step's `travel`."""
-    turn: ArrayLike = 0.005
-    """() rad, standard deviation of a step's `turn`."""
-    admit: ArrayLike = 0.15
-    """() m, points of a link known worse than this stay out of the map."""
-
-
-class Fixed(NamedTuple):
-    """What a robot with a fixed root measures in a step."""
-
-    ranges: Reading
-    """(R,) m, and which there are (R,); zone after zone of sensor after sensor."""
-    joints: Reading
-    """(n,) rad or m, encoders, and which there are (n,)."""
-    dt: Array
-    """() s."""
-
-
-class Free(NamedTuple):
-    """What a robot with a free root measures in a step."""
-
-    ranges: Reading
-    """As in `Fixed`."""
-    joints: Reading
-    """As in `Fixed`."""
-    travel: Reading
-    """(3,) m, how the root moved since the step before, in its own axes then: wheel odometry; unused at the first."""
-    turn: Reading
-    """(3,) rad, how it turned, in its own axes: an integrated gyroscope; unused at the first step."""
-    dt: Array
-    """() s."""
-
-
-class State(NamedTuple):
-    """What the next step needs."""
-
-    mean: Mean
-    covariance: Array
-    """(D, D), [root's position, rotation in the root, biases]."""
-    chart: VoxelMap
-    reading: Array
-    """(n,) last reading of each encoder."""
-    index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
-    """() int32, steps seen."""
-
-
-class Info(NamedTuple):
-    """The estimate of one step; B bodies, L of them with sensors."""
-
-    position: Array
-    """(B, 3) m, of every body."""
-    quaternion: Array
-    """(B, 4) wxyz, body to world."""
-    pose_covariance: Array
-    """(B, 6, 6), rotation and translation along the world's axes, at the body's origin, relative to where the root was
-    at the first scan."""
-    joints: Array
-    """(n,) rad or m, reading less bias."""
-    bias: Array
-    """(n,) rad or m."""
-    bias_deviation: Array
-    """(n,) rad or m."""
-    inliers: Array
-    """(L,) int32, points that counted."""
-    matched: Array
-    """(L,) int32, points with a plane beside them."""
-    seen: Array
-    """(L,) int32, points there were among those whose turn it was."""
-    weakest: Array
-    """(L,) smallest eigenvalue of H' R^-1 H of the link's own pose: what its scan does not see is small."""
-    nis: Array
-    """(L,) mean square of the residuals that counted, in the variance that readings and planes give them: about 1."""
-    link_status: Array
-    """(B,) int32, `OK`, `FOLLOWS`, `LOST` or `UNSEEN`."""
-    voxels: Array
-    """() int32, points of the map."""
-    overflow: Array
-    """() int32, points so far that found no room in it."""
-    status: Array
-    """() int32, `OK`, `NON_FINITE`, `NOT_CONVERGED`, `LOST` or `FULL`."""
 
 
 def build(
@@ -280,11 +154,8 @@ def _predict(
     rotation = quaternion.to_matrix(mean.quaternion)
     step = product(rotation, travel)
     # The travel is in the root's axes, so that an error of its rotation moves it sideways.
-    x, y, z = travel
-    zero = jnp.zeros_like(x)
-    skew = jnp.stack([jnp.stack([zero, -z, y]), jnp.stack([z, zero, -x]), jnp.stack([-y, x, zero])])
     slope = jnp.eye(body.size, dtype=covariance.dtype)
-    slope = slope.at[:3, 3:6].set(-product(rotation, skew))
+    slope = slope.at[:3, 3:6].set(-product(rotation, skew(travel)))
     slope = slope.at[3:6, 3:6].set(quaternion.to_matrix(quaternion.exp(turn)).T)
     covariance = symmetric(product(product(slope, covariance), slope.T))
     covariance = covariance + jnp.diag(jnp.concatenate([jnp.broadcast_to(far, 3), jnp.broadcast_to(wide, 3), grown]))
@@ -306,7 +177,9 @@ def _info(
     pose = (pose + pose.transpose(0, 2, 1)) / 2
     s = seen.sums
     follows = s.inliers < config.least
-    lost = ~follows & ((s.inliers < HALF * s.matched) | (seen.surprise > SURPRISE))
+    # Also where too few fit for an update: a link that finds itself in the midst of a map and on none of its planes.
+    amiss = (s.inliers < FITS * s.matched) & (s.matched >= config.least)
+    lost = amiss | (~follows & (seen.surprise > SURPRISE))
     link = jnp.full(len(body.links), UNSEEN, jnp.int32)
     link = link.at[np.array(body.scanned)].set(jnp.where(lost, LOST, jnp.where(follows, FOLLOWS, OK)))
     full = carry.chart.overflow > before.overflow

@@ -18,19 +18,20 @@ import numpy as np
 from jaxest.filters.kalman import Gaussian, independent, information_gain, predict
 from jaxest.filters.kalman.gaussian import product
 from jaxest.filters.kalman.model import clean
-from jaxest.kinematics import Robot, forward
-from jaxest.kinematics.robot import HINGE
+from jaxest.kinematics import Robot
 from jaxest.manifolds import Euclidean, quaternion, se3
 from jaxest.manifolds import product as products
 from jaxest.mapping import Hashed, Layout, VoxelMap, empty, insert
 from jaxest.sensors.proximity import Proximity
 from jaxest.systems import _slam_body as bodies
+from jaxest.systems import _slam_hang as hang
 from jaxest.systems import slam
 from jaxest.systems._slam_body import Body
+from jaxest.systems._slam_hang import Chain
 from jaxest.systems._slam_link import Config, subset
 from jaxest.systems._slam_rows import Points, Pose, match, moved, sums, world
 from jaxest.systems._slam_simulation import simulate
-from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, InputError, System
+from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, System
 
 TURNED = 1e-3  # m or rad: an update has converged when it moves less
 
@@ -99,23 +100,6 @@ class Info(NamedTuple):
     """() int32."""
 
 
-class Chain(NamedTuple):
-    """How each scanned link hangs on another, static; rows of the root are not used."""
-
-    parent: np.ndarray
-    """(L,) row of the parent, -1 for the root."""
-    joint: np.ndarray
-    """(L,) which of the encoders lies between, 0 for the root."""
-    hinge: np.ndarray
-    """(L,) bool."""
-    offset: se3.Pose
-    """(L, ...) of the link in its parent at coordinate 0."""
-    axis: np.ndarray
-    """(L, 3) in the link."""
-    anchor: np.ndarray
-    """(L, 3) m, in the link."""
-
-
 NODE = products.of((se3, Euclidean((1,))))
 PAIR = products.of((se3, Euclidean((1,)), Euclidean((1,))))
 
@@ -148,7 +132,7 @@ def build(
         InputError: as there, or two links with sensors have not exactly one joint between them.
     """
     body = bodies.body(robot, sensors)
-    chain = _chain(body)
+    chain = hang.chain(body)
     config = Config(layout or Hashed(0.2), points, iterations, least, True)
     measurement = slam.Fixed if body.root is None else slam.Free
     return System(
@@ -157,40 +141,6 @@ def build(
         partial(_step, body, chain, config),
         lambda params, **options: simulate(body, measurement, slam.Params(), **options),
     )
-
-
-def _chain(body: Body) -> Chain:
-    """Find the parent and the joint of each scanned link."""
-    topology, robot = body.robot.topology, body.robot
-    rows: dict[int, int] = {}
-    columns: list[list[Any]] = [[] for _ in range(6)]
-    q = np.array(robot.home, float)
-    for j in body.joints:
-        q[topology.joint_q[j]] = 0
-    frames = forward(robot, q)
-    for row, link in enumerate(body.scanned):
-        between, up = [], link
-        while up >= 0 and (up == link or up not in rows):
-            between += [j for j in body.joints if topology.joint_body[j] == up]
-            up = topology.body_parent[up]
-        rows[link] = row
-        if up < 0 and row == 0 and not between:
-            place = se3.Pose(frames.quaternion[link], frames.position[link])
-            found: Any = (-1, 0, True, np.array([0.0, 0, 1]), np.zeros(3), place)
-        elif up >= 0 and len(between) == 1 and topology.joint_body[between[0]] == link:
-            j = between[0]
-            one, other = (se3.Pose(frames.quaternion[b], frames.position[b]) for b in (up, link))
-            unit = np.asarray(robot.joint_axis[j]) / np.linalg.norm(robot.joint_axis[j])
-            found = (rows[up], body.joints.index(j), topology.joint_kind[j] == HINGE, unit,
-                     np.asarray(robot.joint_anchor[j]), se3.compose(se3.inverse(one), other))  # fmt: skip
-        else:
-            name = topology.body_names[link]
-            raise InputError(f"link {name!r}: expected one joint between it and the link with sensors before it")
-        for column, value in zip(columns, found, strict=True):
-            column.append(value)
-    stacked = jax.tree.map(lambda *x: np.stack([np.asarray(v) for v in x]), *columns.pop())
-    parent, joint, hinge, axis, anchor = (np.array(column) for column in columns)
-    return Chain(parent, joint, hinge, stacked, axis, anchor)
 
 
 def init(body: Body, layout: Layout, capacity: int, params: Params, *, key: Array | None = None) -> State:

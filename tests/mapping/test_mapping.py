@@ -219,3 +219,61 @@ def test_a_shifted_map_is_the_map_of_shifted_points():
     np.testing.assert_allclose(moved.point[:used], chart.point[:used] + 0.01, atol=1e-6)
     assert not np.asarray(moved.point[used:]).any()
     np.testing.assert_allclose(moved.total[:used, :3] / moved.total[:used, 3:4], moved.point[:used], atol=2e-6)
+
+
+def test_a_scattered_wall_has_thinner_layers():
+    """A wall 2 cm beyond a voxel's border, read with a deviation of 8 cm: where readings fall it has two layers."""
+    random = np.random.default_rng(3)
+    there, ray = np.ones(200, bool), np.tile(np.float32([1, 0, 0]), (200, 1))
+    scatter = np.full(200, 0.08, np.float32)
+    file = jax.jit(mapping.likeliest, static_argnums=0)
+    charts = [mapping.empty(HASHED, 4096), mapping.empty(HASHED, 4096)]
+    for _ in range(30):
+        wall = np.column_stack([1.02 + 0.08 * random.normal(size=200), random.uniform(-1, 1, (200, 2))])
+        wall = wall.astype(np.float32)
+        charts[0] = put(HASHED, charts[0], wall, there, None)
+        filed = file(HASHED, charts[1], wall, ray, scatter)
+        # Only along the ray, and no farther than readings scatter.
+        assert np.abs(filed - wall)[:, 1:].max() == 0
+        assert np.abs(filed - wall)[:, 0].max() < 3.01 * 0.08
+        charts[1] = mapping.insert(HASHED, charts[1], wall, there, filed=filed)
+    off = []
+    for chart in charts:
+        read = np.asarray(chart.total)[: int(chart.used), 3]
+        away = np.asarray(chart.point)[: int(chart.used), 0] - 1.02
+        off.append(np.sqrt(np.sum(read * away**2) / read.sum()))
+    # Each half of a normal distribution has its mean .8 deviations off. Some of the first readings, when the map was
+    # empty, stay where they fell.
+    assert abs(off[0] - 0.8 * 0.08) < 0.01
+    assert off[1] < 0.7 * off[0]
+
+
+def test_readings_that_scatter_are_compared_with_what_was_read_often():
+    """A wall of 50 readings a voxel, and strays of one reading each beside a point that fell among them."""
+    y, z = (v.ravel() for v in np.meshgrid(np.arange(-0.5, 0.6, 0.2), np.arange(-0.5, 0.6, 0.2)))
+    wall = np.column_stack([np.full(y.size, 1.1), y, z]).astype(np.float32)
+    strays = wall + np.float32([0.2, 0, 0])
+    chart = mapping.empty(HASHED, 500)
+    for _ in range(50):
+        chart = put(HASHED, chart, wall, np.ones(y.size, bool), None)
+    chart = put(HASHED, chart, strays, np.ones(y.size, bool), None)
+    point = np.float32([[1.28, 0.1, 0.1]])
+    by_distance, by_likelihood = (
+        mapping.nearest(HASHED, chart, jnp.asarray(point), scatter) for scatter in (None, jnp.float32([0.1]))
+    )
+    assert np.asarray(by_distance.there).all() and np.asarray(by_likelihood.there).all()
+    np.testing.assert_allclose(np.asarray(chart.point)[by_distance.row[0, 0], 0], 1.3, atol=1e-6)
+    np.testing.assert_allclose(np.asarray(chart.point)[by_likelihood.row[:, 0], 0], 1.1, atol=1e-5)
+
+
+def test_planes_weigh_their_points():
+    random = np.random.default_rng(4)
+    points, weight = random.normal(size=(50, 5, 3)).astype(np.float32), random.uniform(0.1, 9, (50, 5))
+    planes = mapping.fit(tuple(points[:, :, i].T for i in range(3)), np.ones((5, 50), bool), jnp.float32(weight.T))
+    share = weight / weight.sum(1, keepdims=True)
+    center = np.einsum("nk,nki->ni", share, points)
+    away = points - center[:, None]
+    values, vectors = np.linalg.eigh(np.einsum("nk,nki,nkj->nij", share, away, away))
+    np.testing.assert_allclose(planes.center, center, atol=1e-6)
+    np.testing.assert_allclose(np.asarray(planes.thickness) ** 2, values[:, 0], atol=1e-5)
+    assert np.median(np.abs(np.sum(np.asarray(planes.normal) * vectors[:, :, 0], axis=1))) > 0.9999

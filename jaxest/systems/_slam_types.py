@@ -1,0 +1,139 @@
+"""What whole-body SLAM takes, keeps and returns."""
+
+from typing import NamedTuple
+
+from jaxest.mapping import VoxelMap
+from jaxest.systems._slam_body import Mean
+from jaxest.types import Array, ArrayLike, Reading
+
+FOLLOWS, LOST, UNSEEN, FULL = 4, 5, 6, 7
+"""Status of a link: kept its prediction; its points contradict the map; has no sensors; and of a map that is full."""
+
+
+class Params(NamedTuple):
+    """What may be tuned."""
+
+    noise: ArrayLike = 0.01 / 2.7
+    """() standard deviation of a range, by the range."""
+    floor: ArrayLike = 0.02
+    """() m, standard deviation of a distance to a plane however near: rows on one plane share its error, and are
+    counted for less instead."""
+    uneven: ArrayLike = 0.01
+    """() m, standard deviation of a voxel's point however often it was read."""
+    lasting: ArrayLike = 0.005
+    """() m, of the distance to a plane that is the same in every scan, without noise."""
+    share: ArrayLike = 0.3
+    """() the same, by the standard deviation of a reading."""
+    fresh: ArrayLike = 5.0
+    """() by how much more a distance's variance is, for a plane of voxels that were read once each."""
+    rough: ArrayLike = 30.0
+    """() by how much a distance's variance is more than that, by the readings' where voxels were read once: such planes
+    lie askew."""
+    tilt: ArrayLike = 0.0
+    """() rad, standard deviation of a sensor's direction about each axis."""
+    gate: ArrayLike = 0.04
+    """() m^0.5, a residual beyond this times the root of its range, and three times its noise, does not count."""
+    thickness: ArrayLike = 0.005
+    """() m, of a plane at most, beyond a range's standard deviation."""
+    stray_position: ArrayLike = 0.001
+    """() m, standard deviation along each axis of where the map's own errors place a link, without noise."""
+    stray_rotation: ArrayLike = 0.0007
+    """() rad, the same of its rotation."""
+    stray: ArrayLike = 0.1
+    """() what noise adds to both: by the standard deviation of a reading, and by that of its direction from afar."""
+    renewal: ArrayLike = 0.2
+    """() m, that a link must go to see the map with other errors; what it sees before that tells little new."""
+    bias_start: ArrayLike = 0.1
+    """() or (n,) rad or m, standard deviation of a bias before the first scan."""
+    bias_walk: ArrayLike = 3e-4
+    """() or (n,) rad or m per root s, growth of it."""
+    encoder: ArrayLike = 1e-4
+    """() or (n,) rad or m, white noise of a reading."""
+    missing: ArrayLike = 0.1
+    """() or (n,) rad or m, how far a joint may be from its last reading while none comes."""
+    root_walk: ArrayLike = 0.0316
+    """() or (6,) m and rad per root s, its random walk where no odometry comes."""
+    travel: ArrayLike = 0.01
+    """() m, standard deviation of a step's `travel`."""
+    turn: ArrayLike = 0.005
+    """() rad, standard deviation of a step's `turn`."""
+    admit: ArrayLike = 0.15
+    """() m, points of a link known worse than this stay out of the map."""
+
+
+class Fixed(NamedTuple):
+    """What a robot with a fixed root measures in a step."""
+
+    ranges: Reading
+    """(R,) m, and which there are (R,); zone after zone of sensor after sensor."""
+    joints: Reading
+    """(n,) rad or m, encoders, and which there are (n,)."""
+    dt: Array
+    """() s."""
+
+
+class Free(NamedTuple):
+    """What a robot with a free root measures in a step."""
+
+    ranges: Reading
+    """As in `Fixed`."""
+    joints: Reading
+    """As in `Fixed`."""
+    travel: Reading
+    """(3,) m, how the root moved since the step before, in its own axes then: wheel odometry; unused at the first."""
+    turn: Reading
+    """(3,) rad, how it turned, in its own axes: an integrated gyroscope; unused at the first step."""
+    dt: Array
+    """() s."""
+
+
+class State(NamedTuple):
+    """What the next step needs."""
+
+    mean: Mean
+    covariance: Array
+    """(D, D), [root's position, rotation in the root, biases]."""
+    chart: VoxelMap
+    reading: Array
+    """(n,) last reading of each encoder."""
+    index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
+    """() int32, steps seen."""
+
+
+class Info(NamedTuple):
+    """The estimate of one step; B bodies, L of them with sensors."""
+
+    position: Array
+    """(B, 3) m, of every body."""
+    quaternion: Array
+    """(B, 4) wxyz, body to world."""
+    pose_covariance: Array
+    """(B, 6, 6), rotation and translation along the world's axes, at the body's origin, relative to where the root was
+    at the first scan."""
+    joints: Array
+    """(n,) rad or m, reading less bias."""
+    bias: Array
+    """(n,) rad or m."""
+    bias_deviation: Array
+    """(n,) rad or m."""
+    inliers: Array
+    """(L,) int32, points that counted."""
+    matched: Array
+    """(L,) int32, points with enough of the map about them."""
+    seen: Array
+    """(L,) int32, points there were among those whose turn it was."""
+    weakest: Array
+    """(L,) smallest eigenvalue of H' R^-1 H of the link's own pose: what its scan does not see is small."""
+    nis: Array
+    """(L,) mean square of the residuals that counted, in the variance that readings and planes give them: about 1."""
+    link_status: Array
+    """(B,) int32, `OK`, `FOLLOWS`, `LOST` or `UNSEEN`."""
+    voxels: Array
+    """() int32, points of the map."""
+    overflow: Array
+    """() int32, points so far that found no room in it."""
+    status: Array
+    """() int32, `OK`, `NON_FINITE`, `NOT_CONVERGED`, `LOST` or `FULL`."""
+
+
+__all__ = ["FOLLOWS", "FULL", "LOST", "UNSEEN", "Fixed", "Free", "Info", "Params", "State"]
