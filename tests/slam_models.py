@@ -35,7 +35,7 @@ def tiny():
     text = TREE.format(joint="<freejoint/>")
     keep = text[: text.index('<body name="b"')] + "</body></body></worldbody></mujoco>"
     both = [s for frame in ("root", "a") for s in ring(frame, 0.1, rows=2, columns=2)]
-    options = {"layout": Hashed(0.25, (32, 32, 16)), "capacity": 600, "points": 32, "rounds": 3, "least": 4}
+    options = {"layout": Hashed(0.25, (32, 32, 16)), "capacity": 600, "points": 32, "least": 4}
     return slam.build(kinematics.load(keep), both, **options)
 
 

@@ -35,6 +35,7 @@ from jaxest.systems._slam_types import FOLLOWS, FULL, LOST, UNSEEN, Fixed, Free,
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, Reading, System
 
 FITS = 0.3  # share of the points with the map about them that must lie on its planes
+MANY = 3  # as many points as an update needs say that
 SURPRISE = 9.0  # squared deviations per dimension by which a link's points may correct the prediction
 
 
@@ -178,7 +179,7 @@ def _info(
     s = seen.sums
     follows = s.inliers < config.least
     # Also where too few fit for an update: a link that finds itself in the midst of a map and on none of its planes.
-    amiss = (s.inliers < FITS * s.matched) & (s.matched >= config.least)
+    amiss = (s.inliers < FITS * s.matched) & (s.matched >= MANY * config.least)
     lost = amiss | (~follows & (seen.surprise > SURPRISE))
     link = jnp.full(len(body.links), UNSEEN, jnp.int32)
     link = link.at[np.array(body.scanned)].set(jnp.where(lost, LOST, jnp.where(follows, FOLLOWS, OK)))
