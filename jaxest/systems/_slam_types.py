@@ -15,7 +15,7 @@ class Params(NamedTuple):
 
     noise: ArrayLike = 0.01 / 2.7
     """() standard deviation of a range, by the range."""
-    floor: ArrayLike = 0.02
+    floor: ArrayLike = 0.025
     """() m, standard deviation of a distance to a plane however near: rows on one plane share its error, and are
     counted for less instead."""
     uneven: ArrayLike = 0.01
@@ -24,7 +24,7 @@ class Params(NamedTuple):
     """() m, of the distance to a plane that is the same in every scan, without noise."""
     share: ArrayLike = 0.3
     """() the same, by the standard deviation of a reading."""
-    fresh: ArrayLike = 5.0
+    fresh: ArrayLike = 15.0
     """() by how much more a distance's variance is, for a plane of voxels that were read once each."""
     rough: ArrayLike = 30.0
     """() by how much a distance's variance is more than that, by the readings' where voxels were read once: such planes
