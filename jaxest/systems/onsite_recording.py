@@ -15,12 +15,12 @@ from jaxest.calibration import clock
 from jaxest.filters import savitzky_golay as sg
 from jaxest.manifolds import quaternion as quat
 from jaxest.systems import onsite_batch
+from jaxest.systems._onsite_clipped import clipped, without_clipped
 from jaxest.systems.onsite_simulation import Pair
 from jaxest.types import InputError, Reading
 
 GAP = 3.0  # median intervals between P's samples over which nothing is interpolated
 ALIGNING = (3, 5)  # N and M of the fit that brings P's readings to A's stamps: next to no smoothing
-CLIPPED = 3  # equal readings in a row, at the largest value of the axis, that look like a limit and not like chance
 MOST_CLIPPED = 0.1  # share of clipped samples above which the rest says too little of the quick motion
 LOOSE = (0.15, 4.0)  # residual of the rates over their size, and over their noise, above which no link is rigid
 SHARP = (math.radians(5.0), 0.02)  # standard deviations, rad and m, above which a component counts as open
@@ -127,9 +127,14 @@ def estimate(
     if late:
         notes.append(f"{names[1]}'s clock shows {1e3 * late:+.2f} ms against {names[0]}'s: taken off")
     time, measurements = pair(a, p, offset=late)
-    measurements = _without_clipped(measurements)
+    measurements = without_clipped(measurements)
     choice = onsite_batch.choose(measurements, prior)
     found = choice.estimate
+    if offset:
+        # What was not taken off may be there all the same.
+        error = math.hypot(offset.deviation, offset.seconds - late)
+        late_too = found.covariance + late_by(p, late, error, time, measurements, choice, prior)
+        found = found._replace(covariance=late_too)
     loose = not_rigid(measurements, found)
     if loose:
         raise InputError(f"{names[0]} and {names[1]} are not on one rigid link: {loose}")
@@ -137,6 +142,36 @@ def estimate(
     if why:
         raise InputError(f"the pose of {names[1]} in {names[0]} is not determined: {why}")
     return Found(found, int(choice.half_width), offset, time, measurements, tuple(notes))
+
+
+def late_by(
+    p: Imu, offset: float, error: float, time: NDArray[np.float64], measurements: Pair, choice: onsite_batch.Choice,
+    prior: onsite_batch.Prior | None,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Return what an error of the clocks' offset adds to the covariance of the pose, (6, 6) as that of `estimate`.
+
+    Args:
+        p: the IMU whose clock it is.
+        offset: s, what was taken off its stamps.
+        error: s, standard deviation of what is left.
+        time: (T,) s, the common times.
+        measurements: at these times.
+        choice: the estimate from them.
+        prior: as for `onsite_batch.choose`.
+
+    Returns:
+        The square of the shift that one standard deviation causes.
+    """
+    value, there = brought(p._replace(time=np.asarray(p.time, np.float64) - offset - error), time)
+    there = there & np.asarray(measurements.gyroscope_p.valid) & np.asarray(measurements.accelerometer_p.valid)
+    rates, forces = _reading(value[:, :3], there), _reading(value[:, 3:], there)
+    every = onsite_batch.choose(measurements._replace(gyroscope_p=rates, accelerometer_p=forces), prior).all
+    formal = np.asarray(choice.all.formal)
+    best = int(np.argmin(np.where(np.isfinite(formal), formal, np.inf)))
+    one, other = (jax.tree.map(lambda x: x[best], x) for x in (choice.all, every))
+    turn = jax.device_get(quat.local(one.quaternion, other.quaternion))
+    shift = np.concatenate([turn, np.asarray(other.position) - np.asarray(one.position)]).astype(np.float64)
+    return np.outer(shift, shift)
 
 
 def _clocks(a: Imu, p: Imu, names: tuple[str, str]) -> clock.Offset | None:
@@ -155,17 +190,6 @@ def _clocks(a: Imu, p: Imu, names: tuple[str, str]) -> clock.Offset | None:
     return found
 
 
-def clipped(values: NDArray[Any]) -> NDArray[np.bool_]:
-    """Tell which of readings (n, 3) stand at a limit of their sensor: the extreme value, again and again in a row."""
-    found = np.zeros(values.shape, bool)
-    for axis, column in enumerate(np.asarray(values).T):
-        for extreme in (column.max(), column.min()):
-            at = column == extreme
-            if np.ptp(column) > 0 and any(np.all(at[i : i + CLIPPED]) for i in np.flatnonzero(at)[: -CLIPPED + 1]):
-                found[:, axis] |= at
-    return np.any(found, axis=1)
-
-
 def _clipped(name: str, imu: Imu) -> list[str]:
     notes = []
     for kind, value in (("gyroscope", imu.gyroscope), ("accelerometer", imu.accelerometer)):
@@ -178,28 +202,6 @@ def _clipped(name: str, imu: Imu) -> list[str]:
         if share:
             notes.append(f"{name}/{kind}: saturated in {100 * share:.1f} % of the samples, which are left out")
     return notes
-
-
-def _without_clipped(measurements: Pair) -> Pair:
-    """Mask samples at a sensor's limit; of P, whose samples were interpolated, those within its flat pieces."""
-    kept: dict[str, Any] = {}
-    for name in Pair._fields[:4]:
-        reading = getattr(measurements, name)
-        value = np.asarray(reading.value)
-        flat = clipped(value) if name.endswith("_a") else _flat(value)
-        kept[name] = _reading(reading.value, np.asarray(reading.valid) & ~flat)
-    return measurements._replace(**kept)
-
-
-def _flat(value: NDArray[Any]) -> NDArray[np.bool_]:
-    """Rows within a per mille of an axis' extreme, if there are several in a row."""
-    span = np.ptp(value, axis=0)
-    near = np.minimum(np.abs(value - value.max(axis=0)), np.abs(value - value.min(axis=0))) < 1e-6 * span
-    runs = near[2:] & near[1:-1] & near[:-2]
-    found = np.zeros(value.shape, bool)
-    for shift in range(3):
-        found[shift : len(value) - 2 + shift] |= runs
-    return np.any(found, axis=1)
 
 
 def noise(values: NDArray[np.float64]) -> float:
@@ -271,4 +273,16 @@ def rotation_error(one: Any, other: Any) -> float:
     return float(np.linalg.norm(np.asarray(jax.device_get(quat.local(one, other)), np.float64)))
 
 
-__all__ = ["Found", "Imu", "brought", "clipped", "estimate", "explain", "noise", "not_rigid", "pair", "rotation_error"]
+__all__ = [
+    "Found",
+    "Imu",
+    "brought",
+    "clipped",
+    "estimate",
+    "explain",
+    "late_by",
+    "noise",
+    "not_rigid",
+    "pair",
+    "rotation_error",
+]

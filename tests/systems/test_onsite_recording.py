@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from jaxest.manifolds import quaternion as quat
-from jaxest.systems import onsite
-from jaxest.systems.onsite_recording import Imu, clipped, estimate, explain, pair
+from jaxest.systems import onsite, onsite_batch
+from jaxest.systems.onsite_recording import Imu, clipped, estimate, explain, late_by, pair
 from jaxest.types import InputError
 
 STEPS = 1500
@@ -40,6 +40,22 @@ def test_a_late_clock_and_lost_samples(rod):
     # 15 s: (40 / 15)^(1/2) times what 40 s leave, median 0.2 mm, to the worst of a hundred.
     assert np.linalg.norm(found.estimate.position - truth.position) < 1.5e-3
     assert np.linalg.norm(quat.local(found.estimate.quaternion, truth.quaternion)) < 2e-3
+
+
+def test_doubt_of_the_clock_belongs_to_the_covariance(rod):
+    a, p, _ = rod
+    time, m = pair(a, p)
+    choice = onsite_batch.choose(m)
+    none, half, whole = (late_by(p, 0.0, error, time, m, choice, None) for error in (0.0, 2e-3, 4e-3))
+    np.testing.assert_allclose(none, 0, atol=1e-12)
+    assert np.trace(whole[3:, 3:]) > 0
+    # Its readings are interpolated elsewhere, which draws part of their noise anew.
+    assert np.trace(whole) == pytest.approx(4 * np.trace(half), rel=0.25)
+    # A clock that is off by so much moves the estimate so.
+    time, m = pair(a, p._replace(time=p.time - 4e-3))
+    moved = onsite_batch.choose(m).estimate.quaternion
+    angle = np.linalg.norm(quat.local(choice.estimate.quaternion, moved))
+    assert angle == pytest.approx(np.sqrt(np.trace(whole[:3, :3])), rel=0.25)
 
 
 def test_gaps_are_not_filled(rod):
