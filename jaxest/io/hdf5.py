@@ -39,7 +39,8 @@ def load(path: PathLike) -> Raw:
     broken: dict[str, str] = {}
     claimed, stored = [0], path.stat().st_size
 
-    def visit(name: str, item: Any) -> None:
+    def visit(named: str | bytes, item: Any) -> None:
+        name = named if isinstance(named, str) else named.decode(errors="replace")
         _attributes(name, item, arrays)
         if not isinstance(item, h5py.Dataset):
             return
