@@ -5,6 +5,9 @@ import os
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
+# One thread for the kernels of each process. Two workers fill two cores, and batched LAPACK calls that run at once wait
+# for ever on a pool of two: each holds a thread until the other's work is done (jaxlib 0.10.2).
+os.environ.setdefault("NPROC", "1")
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # the compilation cache logs every machine feature otherwise
 
 import jax
