@@ -37,8 +37,8 @@ SAMPLERS: Mapping[str, Callable[..., Kernel]] = {
 }
 """`gibbs_bootstrap` and `mh_bootstrap` are the paper's."""
 SPREAD = ("gibbs", "mh", "collapsed")
-"""Samplers whose chains may be spread over devices. Those that resample have waited for ever on two devices of one
-processor (JAX 0.10, two cores), and run as one program."""
+"""Samplers whose chains may be spread over devices. Those that resample call batched LAPACK, which waits for
+ever on two devices of one processor with two cores (`docs/performance.md`), and run as one program."""
 
 
 def sampler(name: str, model: Model, count: int | None = None) -> Kernel:
