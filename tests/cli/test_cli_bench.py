@@ -10,9 +10,9 @@ def test_cases_are_listed(invoke):
 
 
 def test_rows(invoke, monkeypatch):
-    def rows(name, *, peers, progress, small, robots):
+    def rows(name, *, peers, progress, small, robots, peer_seconds):
         progress("now")
-        assert (peers, small) == (False, True)
+        assert (peers, small, peer_seconds) == (False, True, None)
         yield Row("step", name, 2.0, "us", spread=0.1, n=5, reference=20.0, reference_name="peer", ratio=10.0)
         yield Row("step", "alone", 2.0, "us", ratio=0.5)
 
