@@ -21,7 +21,9 @@ from test_cli_tune import PLAIN, shaken
 
 from jaxest.io import read, write
 
-START = "import jaxest.cli.methods.torque as torque; torque.PIECE = 10; from jaxest.cli import main; main()"
+# A process begun in the background of a shell inherits that Ctrl-C is ignored; these must hear it.
+HEAR = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+START = HEAR + "import jaxest.cli.methods.torque as torque; torque.PIECE = 10; from jaxest.cli import main; main()"
 TORQUE = ["estimate", "log.npz", "-m", "torque", "--robot", "arm.xml", "-c", "c.toml", "--work", "kept", "--force"]
 PAPER = ["reproduce", "santaera2015", "--small", "--part", "calibration", "--work", "kept", "--force"]
 TUNE = ["tune", "log.npz", "-m", "orientation", "-c", "c.toml", "--checkpoint", "kept.npz", "--force", "--starts", "2",
@@ -109,7 +111,9 @@ def same(one, other):
         assert other.read_text() == one.read_text()
 
 
-CHAINS = """
+CHAINS = (
+    HEAR
+    + """
 import sys, time
 import jax, numpy as np
 from jaxest.io import chains, npz
@@ -122,6 +126,7 @@ def advance(state, size):
 _, history = chains.sample(advance, jax.numpy.zeros(()), 100, piece=5, folder="kept")
 npz.save("out.npz", {"history": history}, overwrite=True)
 """
+)
 
 
 def test_pieces_of_a_killed_run_are_whole_and_gone_on_from(tmp_path):
