@@ -124,7 +124,7 @@ def _peers(case: Case, progress: Progress, seconds: float, small: bool) -> dict[
     model = compile_model(models.path("baxter_left_arm"))
     problem = torque_peers.problem(model, case.scene.data, case.scene.prior)
     starts = jax.tree.map(np.asarray, case.starts.chain)
-    count = 20 if small else 2000
+    count = 20 if small else 1000
     progress("the paper's sampler in NumPy")
     found: dict[str, Draws | str] = {
         f"the paper's sampler, N = {count}, in NumPy": torque_peers.paper(problem, starts, seconds, count)
@@ -164,7 +164,7 @@ def _beside(metric: str, condition: str, ours: Draws, at: int, peers: dict[str, 
 
 def _bootstrap(case: Case, peers: bool, small: bool) -> Row:
     """Time an iteration of the paper's sampler as we have it: one chain, whose particles XLA spreads over the cores."""
-    count, iterations = 20 if small else 2000, 2
+    count, iterations = 20 if small else 1000, 2
     kernel = torque_sampler.sampler("gibbs_bootstrap", case.model, count)
     alone = jax.tree.map(lambda x: x[:1], case.starts.chain)
     start = many.Chains(alone, case.starts.key[:1], case.starts.index)
