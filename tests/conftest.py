@@ -2,12 +2,15 @@
 
 import gc
 import os
+from ctypes.util import find_library
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 # One thread for the kernels of each process. Two workers fill two cores, and batched LAPACK calls that run at once wait
 # for ever on a pool of two: each holds a thread until the other's work is done (jaxlib 0.10.2).
 os.environ.setdefault("NPROC", "1")
+if "DISPLAY" not in os.environ and find_library("EGL"):  # before anything imports mujoco, which looks only once
+    os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # the compilation cache logs every machine feature otherwise
 
 import jax
