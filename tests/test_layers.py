@@ -8,6 +8,7 @@ import jaxest
 PACKAGE = Path(jaxest.__file__).parent
 LAYERS = [
     "types",
+    "files",
     "derivatives",
     "manifolds",
     "distributions",

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxest.calibration import alignment, ellipsoid, imu_static
+from jaxest.files import write_text
 from jaxest.filters import savitzky_golay as sg
 from jaxest.types import InputError
 
@@ -119,10 +120,7 @@ def apply(
 def save(calibrations: dict[str, Calibration], path: str | Path) -> None:
     """Write calibrations by the IMUs' names as JSON, replacing the file, whole or not at all."""
     plain = {name: {k: np.asarray(v).tolist() for k, v in one._asdict().items()} for name, one in calibrations.items()}
-    path = Path(path)
-    part = path.with_name(f".{path.name}.part")
-    part.write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
-    part.replace(path)
+    write_text(path, json.dumps(plain, indent=2) + "\n", overwrite=True)
 
 
 def load(path: str | Path) -> dict[str, Calibration]:

@@ -73,8 +73,8 @@ def run(
     from jaxest.cli import methods, settings
     from jaxest.cli.tables import figures
     from jaxest.cli.window import windowed
+    from jaxest.files import existing, write_text
     from jaxest.io import read, write
-    from jaxest.io.files import existing, replacing
     from jaxest.io.inspect import doubtful_units
     from jaxest.io.report import Row, report, to_json
 
@@ -99,11 +99,9 @@ def run(
     text = to_json(report(method, rows))
     out.mkdir(parents=True, exist_ok=True)
     write(outcome.estimate, targets[0], overwrite=force)
-    with replacing(targets[1], overwrite=force) as file:
-        file.write(f"{text}\n".encode())
+    write_text(targets[1], f"{text}\n", overwrite=force)
     for name, content in outcome.files.items():
-        with replacing(out / name, overwrite=force) as file:
-            file.write(content.encode())
+        write_text(out / name, content, overwrite=force)
     if len(targets) > 2 and outcome.draw:
         outcome.draw(targets[2], f"{log.stem}: {method}")
     for line in outcome.refused:

@@ -50,7 +50,7 @@ def is_robot(file: Path) -> bool:
     Raises:
         InputError: no such file, or it is neither.
     """
-    from jaxest.io.files import existing
+    from jaxest.files import existing
     from jaxest.io.formats import FORMATS, is_log_folder
 
     if is_log_folder(file):

@@ -119,8 +119,8 @@ def _prepare(
 ) -> tuple[Any, Any]:  # fmt: skip
     """Read everything and let the method make a tuning of it."""
     from jaxest.cli import methods, settings, tunable
+    from jaxest.files import existing
     from jaxest.io import read
-    from jaxest.io.files import existing
 
     if truth and len(truth) != len(logs):
         raise bad_input(f"--truth: got {len(truth)} for {len(logs)} logs, expected one each, or none")
@@ -156,6 +156,7 @@ def _search(
     import jax
 
     from jaxest import parallel, tuning
+    from jaxest.files import kept
     from jaxest.io import load_state, save_state
 
     batch = tuning.padded(given.recordings)
@@ -167,7 +168,8 @@ def _search(
     search = tuning.begin(problem, given.method, points)
     leads = jax.process_index() == 0
     if checkpoint is not None and leads and checkpoint.exists():
-        search = load_state(checkpoint, search)
+        with kept(checkpoint):
+            search = load_state(checkpoint, search)
     search = parallel.from_first(search)
 
     def keep(search: Any) -> None:

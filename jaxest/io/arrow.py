@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.files import PathLike
 from jaxest.io.extras import need
-from jaxest.io.files import PathLike
 from jaxest.io.growth import refuse_excess
 from jaxest.types import InputError
 

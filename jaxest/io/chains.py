@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.files import PathLike, kept
 from jaxest.io.checkpoint import load_state, save_state
 from jaxest.io.extras import need
-from jaxest.io.files import PathLike
 from jaxest.types import InputError, PyTree
 
 Advance = Callable[[Any, int], tuple[Any, Any]]
@@ -47,7 +47,7 @@ def sample(
         The chains, and the history with leaves (iterations, ...), NumPy arrays.
 
     Raises:
-        InputError: the folder holds pieces of another run.
+        InputError: the folder holds pieces of another run, or one that cannot be read.
     """
     import jax
 
@@ -55,7 +55,7 @@ def sample(
     place = None if folder is None else Path(folder)
     if place is not None:
         place.mkdir(parents=True, exist_ok=True)
-    kept, done, begun, fresh = [], 0, time.monotonic(), 0
+    found, done, begun, fresh = list[PyTree](), 0, time.monotonic(), 0
     while done < iterations:
         size = min(piece, iterations - done)
         file = None if place is None else place / f"piece{done:07d}_{size}.npz"
@@ -67,16 +67,17 @@ def sample(
             fresh += size
             if file is not None:
                 save_state(file, {"mark": np.uint32(mark), "chains": chains, "history": history})
-        kept.append(jax.tree.map(np.asarray, history))
+        found.append(jax.tree.map(np.asarray, history))
         done += size
         if say:
             left = (time.monotonic() - begun) / max(fresh, 1) * (iterations - done)
             say(f"{done} of {iterations} iterations" + (f", about {left:.0f} s left" if fresh and left >= 1 else ""))
-    return chains, jax.tree.map(lambda *parts: np.concatenate(parts), *kept)
+    return chains, jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 
 
 def _load(file: Path, like: tuple[PyTree, PyTree], mark: int) -> tuple[PyTree, PyTree]:
-    found = load_state(file, {"mark": np.uint32(0), "chains": like[0], "history": like[1]})
+    with kept(file):
+        found = load_state(file, {"mark": np.uint32(0), "chains": like[0], "history": like[1]})
     if int(found["mark"]) != mark:
         raise InputError(f"{file}: belongs to a run with other data, settings or starts; choose another folder")
     return found["chains"], found["history"]

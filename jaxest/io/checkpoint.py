@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.files import PathLike
 from jaxest.io import npz
-from jaxest.io.files import PathLike
 from jaxest.io.raw import Raw
 from jaxest.types import InputError, PyTree, unknown_name
 

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.files import existing, replacing
 from jaxest.io import npz
-from jaxest.io.files import existing, replacing
 from jaxest.types import InputError
 
 SUFFIXES = (".ply", ".pcd", ".npz")

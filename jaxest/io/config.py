@@ -6,8 +6,8 @@ import tomllib
 from collections.abc import Mapping
 from typing import Any
 
+from jaxest.files import PathLike, existing, write_text
 from jaxest.io import columns
-from jaxest.io.files import PathLike, existing, replacing
 from jaxest.types import InputError, unknown_name
 
 Schema = Mapping[str, Any]
@@ -58,8 +58,7 @@ def write_config(path: PathLike, tables: Mapping[str, Any], overwrite: bool = Fa
     Raises:
         InputError: the output exists or cannot be written.
     """
-    with replacing(path, overwrite=overwrite) as file:
-        file.write(_toml(tables, ()).strip("\n").encode() + b"\n")
+    write_text(path, _toml(tables, ()).strip("\n") + "\n", overwrite)
 
 
 def _toml(table: Mapping[str, Any], way: tuple[str, ...]) -> str:

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.files import PathLike, write_text
 from jaxest.io.csv_cells import MARK, Cells, cells, dates, number
-from jaxest.io.files import PathLike, replacing
 from jaxest.io.log import SensorLog, Stream, check
 from jaxest.io.npz import meta_of, to_text
 from jaxest.io.raw import Raw
@@ -166,5 +166,4 @@ def write_log(log: SensorLog, path: PathLike, overwrite: bool = False) -> None:
     writer = csv.writer(text_file, lineterminator="\n")
     writer.writerow(header)
     writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
-    with replacing(path, overwrite) as file:
-        file.write(text_file.getvalue().encode())
+    write_text(path, text_file.getvalue(), overwrite)

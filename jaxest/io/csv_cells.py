@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.files import PathLike, existing
 from jaxest.io import units
-from jaxest.io.files import PathLike, existing
 from jaxest.types import InputError
 
 MARK = "# jaxest-log "

@@ -3,7 +3,7 @@
 import importlib
 from typing import Any
 
-from jaxest.io.files import PathLike
+from jaxest.files import PathLike
 from jaxest.types import InputError
 
 

@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jaxest.files import PathLike, existing
 from jaxest.io import bags, csv, hdf5, lerobot, mcap, npz, parquet, proposal, tum
 from jaxest.io import columns as table_module
 from jaxest.io.bags import arrays_of
 from jaxest.io.columns import ColumnTable
-from jaxest.io.files import PathLike, existing
 from jaxest.io.log import SensorLog, check
 from jaxest.io.proposal import Proposal
 from jaxest.io.raw import Raw

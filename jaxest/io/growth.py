@@ -1,6 +1,6 @@
 """Files that claim to hold far more than they store: an attack on memory, or damage, but no recording."""
 
-from jaxest.io.files import PathLike
+from jaxest.files import PathLike
 from jaxest.types import InputError
 
 LARGE = 2**30

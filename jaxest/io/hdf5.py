@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.files import PathLike, existing, replacing
 from jaxest.io.extras import need
-from jaxest.io.files import PathLike, existing, replacing
 from jaxest.io.growth import excessive
 from jaxest.io.log import SensorLog
 from jaxest.io.npz import meta_of, to_text

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.files import PathLike
 from jaxest.io.arrow import read_table, to_numpy
-from jaxest.io.files import PathLike
 from jaxest.io.log import SensorLog, Stream, check
 from jaxest.types import InputError
 

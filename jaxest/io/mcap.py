@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.files import PathLike, refuse_existing, replacing
 from jaxest.io.extras import need
-from jaxest.io.files import PathLike, refuse_existing, replacing
 from jaxest.io.log import SensorLog, Stream, to_si
 from jaxest.types import InputError
 

@@ -9,7 +9,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.io.files import PathLike, existing, replacing
+from jaxest.files import PathLike, existing, replacing
 from jaxest.io.growth import refuse_excess
 from jaxest.io.log import SensorLog, Stream, check
 from jaxest.io.raw import Raw

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.files import PathLike, existing, replacing
 from jaxest.io.arrow import read_table, to_numpy
 from jaxest.io.extras import need
-from jaxest.io.files import PathLike, existing, replacing
 from jaxest.io.log import SensorLog, Stream, check
 from jaxest.io.npz import meta_of, to_text
 from jaxest.io.raw import Raw

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from jaxest.files import PathLike, kept
 from jaxest.io.chains import fingerprint
 from jaxest.io.checkpoint import load_state, save_state
-from jaxest.io.files import PathLike
 from jaxest.types import InputError, PyTree
 
 MERGED = "results.npz"
@@ -43,7 +43,7 @@ def study(
         The results, leaves (N, ...), NumPy arrays, whole on every process.
 
     Raises:
-        InputError: the folder holds pieces of another study.
+        InputError: the folder holds pieces of another study, or one that cannot be read.
         RuntimeError: another process was lost; pieces that are done are kept.
     """
     import jax
@@ -60,10 +60,10 @@ def study(
     found, begun, fresh = [], time.monotonic(), 0
     for first in range(0, count, piece):
         file = None if place is None else place / f"items{first:08d}_{piece}.npz"
-        kept = None if file is None or not file.exists() else _load(file, like, mark)
-        if parallel.from_first(np.asarray(kept is not None)):
+        old = None if file is None or not file.exists() else _load(file, like, mark)
+        if parallel.from_first(np.asarray(old is not None)):
             blank = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), like)
-            part = jax.tree.map(np.asarray, parallel.from_first(blank if kept is None else kept))
+            part = jax.tree.map(np.asarray, parallel.from_first(blank if old is None else old))
         else:
             rows = np.minimum(np.arange(first, first + piece), count - 1)
             part = _together(run, jax.tree.map(lambda x, rows=rows: x[rows], items), first, parallel.gather)
@@ -101,7 +101,8 @@ def _together(run: Any, part: PyTree, first: int, gather: Any) -> PyTree:
 
 
 def _load(file: Path, like: PyTree, mark: int) -> PyTree:
-    found = load_state(file, {"mark": np.uint32(0), "results": like})
+    with kept(file):
+        found = load_state(file, {"mark": np.uint32(0), "results": like})
     if int(found["mark"]) != mark:
         raise InputError(f"{file}: belongs to a study of other items or settings; choose another folder")
     return found["results"]

@@ -5,7 +5,7 @@ They hold one pose: the streams `position` (m) and `orientation` (wxyz, as every
 
 import numpy as np
 
-from jaxest.io.files import PathLike, existing, replacing
+from jaxest.files import PathLike, existing, write_text
 from jaxest.io.log import SensorLog, Stream, check, finite_rows
 from jaxest.types import InputError
 
@@ -89,5 +89,4 @@ def write_log(log: SensorLog, path: PathLike, overwrite: bool = False) -> None:
         )
     table = [position.time.astype(str), *(position.value.astype(str).T), *(orientation.value.astype(str)[:, _XYZW].T)]
     lines = (" ".join(row) for row in zip(*table, strict=True))
-    with replacing(path, overwrite) as file:
-        file.write("\n".join(["# timestamp tx ty tz qx qy qz qw", *lines, ""]).encode())
+    write_text(path, "\n".join(["# timestamp tx ty tz qx qy qz qw", *lines, ""]), overwrite)

@@ -11,6 +11,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.files import write_text
 from jaxest.kinematics.robot import BALL, FREE, HINGE, NV, SLIDE, Robot
 from jaxest.kinematics.urdf_frames import matrix, roll_pitch_yaw, turned
 from jaxest.types import InputError
@@ -20,20 +21,20 @@ EFFORT, SPEED = "100", "10"  # N m and rad/s: a URDF must name some, nobody here
 
 
 def write(robot: Robot, path: str | Path) -> None:
-    """Write a robot into a file, replacing it.
+    """Write a robot into a file, replacing it, whole or not at all.
 
     Args:
         robot: the robot.
         path: with the suffix `.xml` or `.mjcf` for MJCF, `.urdf` for URDF.
 
     Raises:
-        InputError: another suffix, or a URDF cannot hold this robot.
+        InputError: another suffix, a URDF cannot hold this robot, or the file cannot be written.
     """
     path = Path(path)
     makers = {".xml": to_mjcf, ".mjcf": to_mjcf, ".urdf": to_urdf}
     if path.suffix.lower() not in makers:
         raise InputError(f"{path}: expected a name that ends in {', '.join(makers)}")
-    path.write_text(makers[path.suffix.lower()](robot), encoding="utf-8")
+    write_text(path, makers[path.suffix.lower()](robot), overwrite=True)
 
 
 def to_mjcf(robot: Robot) -> str:

@@ -6,7 +6,6 @@ sensors would read without faults, which may be kept (`save`, `load`), and `corr
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxest.files import kept, replacing
 from jaxest.sensors.proximity import Proximity
 from jaxest.types import InputError, unknown_name
 
@@ -276,18 +276,14 @@ def encoders(angles: NDArray[np.float64], faults: Faults, seed: int) -> NDArray[
 def save(scan: Scan, path: Path) -> None:
     """Keep a scan as NPZ, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(f".{os.getpid()}.npz")
-    np.savez(part, time=scan.time, q=scan.q, ranges=scan.ranges)
-    part.replace(path)
+    with replacing(path, overwrite=True) as file:
+        np.savez(file, time=scan.time, q=scan.q, ranges=scan.ranges)
 
 
 def load(path: Path) -> Scan:
     """Read what `save` wrote; raises InputError where it is no scan."""
-    try:
-        with np.load(path) as kept:
-            return Scan(kept["time"], kept["q"], kept["ranges"])
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(f"{path}: is not a simulated scan ({error})") from None
+    with kept(path), path.open("rb") as file, np.load(file) as found:
+        return Scan(found["time"], found["q"], found["ranges"])
 
 
 __all__ = [

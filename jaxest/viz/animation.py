@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.files import replacing
 from jaxest.io.extras import need
-from jaxest.io.files import replacing
 from jaxest.types import InputError
 
 SUFFIXES = (".gif", ".png")

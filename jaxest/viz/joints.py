@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.viz import canvas
+
 INK, TRUTH, READ = "#1f4e79", "#d1495b", "0.35"
 POINTS = 3000  # more do not fit on the paper
 
@@ -50,9 +52,6 @@ def draw(
         title: line above the picture.
         slides: how many of the last joints are slides, m.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     pick = slice(None, None, max(1, len(time) // POINTS))
     time = np.asarray(time)[pick] - np.asarray(time)[0]
     turning = np.arange(len(names)) < len(names) - slides
@@ -60,10 +59,8 @@ def draw(
     mean, lower, upper = (np.asarray(x, float)[pick] * scale for x in (mean, lower, upper))
     read, true = (None if x is None else np.asarray(x, float)[pick] * scale for x in (reference, truth))
     columns = 1 if read is None else 2
-    figure = Figure(figsize=(5 + 4 * columns, 1.6 * len(names) + 0.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = canvas.sheet((5 + 4 * columns, 1.6 * len(names) + 0.8), title)
     axes = figure.subplots(len(names), columns, sharex=True, squeeze=False)
-    figure.suptitle(title, fontsize=11, x=0.01, ha="left")
     for j, name in enumerate(names):
         now = Lines(*(None if x is None else x[:, j] for x in (mean, lower, upper, read, true)))
         beside = _beside if turning[j] else lambda value, other: value
@@ -77,7 +74,7 @@ def draw(
         axes[0, 1].set_title("from the encoder's reading", fontsize=9, loc="left")
     for axis in axes[-1]:
         axis.set_xlabel("time [s]")
-    figure.savefig(path, dpi=110)
+    canvas.write(path, figure)
 
 
 def _panel(axis: Any, time: NDArray[Any], now: Lines, beside: Callable[..., Any]) -> None:

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.viz import canvas
+
 COLOURS = ("#d1495b", "#3a7d44", "#1f4e79")
 
 
@@ -29,12 +31,7 @@ def draw(
         truth: (3,) m for each pose, drawn dashed.
         title: line above the picture.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5 + 3 * len(curves), 6.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=11, x=0.01, ha="left")
+    figure = canvas.sheet((5 + 3 * len(curves), 6.5), title)
     axes = figure.subplots(3, len(curves), squeeze=False, sharex=True)
     seconds = np.asarray(time) - np.asarray(time)[0]
     for column, (name, (position, covariance)) in enumerate(curves.items()):
@@ -59,7 +56,7 @@ def draw(
         axis.grid(alpha=0.25, linewidth=0.6)
         axis.spines[["top", "right"]].set_visible(False)
     axes[0, 0].legend(fontsize=8, frameon=False, ncols=3)
-    figure.savefig(path, dpi=110)
+    canvas.write(path, figure)
 
 
 __all__ = ["draw"]

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.metrics import orientation_error
+from jaxest.viz import canvas
 
 INK, TRUTH, HEADING, INCLINATION = "#1f4e79", "#d1495b", "#d1495b", "#1f4e79"
 POINTS = 3000  # more do not fit on the paper
@@ -97,17 +98,12 @@ def draw(
         heading: whether the heading means anything (a magnetometer was used).
         title: line above the picture.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     pick = slice(None, None, max(1, len(time) // POINTS))
     time, quaternion = np.asarray(time)[pick] - np.asarray(time)[0], np.asarray(quaternion)[pick]
     covariance, truth, movement = (None if a is None else np.asarray(a)[pick] for a in (covariance, truth, movement))
     rows = 4 if truth is not None else 3
-    figure = Figure(figsize=(10, 2.0 * rows + 0.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = canvas.sheet((10, 2.0 * rows + 0.6), title)
     axes = figure.subplots(rows, 1, sharex=True)
-    figure.suptitle(title, fontsize=11, x=0.01, ha="left")
     mine = angles(quaternion, covariance)
     true = None if truth is None else angles(truth).value
     for index, name in enumerate(("roll", "pitch", "heading")):
@@ -124,7 +120,7 @@ def draw(
         axis.margins(x=0)
     axes[0].legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=4, fontsize=8, frameon=False)
     axes[-1].set_xlabel("time [s]")
-    figure.savefig(path, dpi=130)
+    canvas.write(path, figure, dpi=130)
 
 
 def _panel(axis: Any, time: Any, mine: Angles, true: Any, index: int, name: str) -> None:

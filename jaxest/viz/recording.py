@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest import kinematics
+from jaxest.files import replacing
 from jaxest.io.extras import need
-from jaxest.io.files import replacing
 from jaxest.kinematics import Robot
 from jaxest.manifolds import quaternion
 from jaxest.types import InputError

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxest.viz import canvas
+
 LINE, GUIDE = "#1f4e79", "0.6"
 
 
@@ -18,12 +20,8 @@ def draw(
         series: name of what is counted -> sizes and times of a call, us.
         slopes: fitted exponents by the same names.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     columns = min(3, len(series))
-    figure = Figure(figsize=(4.2 * columns, 3.2 * -(-len(series) // columns)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = canvas.sheet((4.2 * columns, 3.2 * -(-len(series) // columns)))
     for i, (name, points) in enumerate(series.items()):
         axes = figure.add_subplot(-(-len(series) // columns), columns, i + 1)
         sizes, times = (np.array(x, float) for x in zip(*points, strict=True))
@@ -35,7 +33,7 @@ def draw(
         axes.grid(alpha=0.25, which="major")
         if name in slopes:
             axes.set_title(f"exponent {slopes[name]:.2f} at the larger sizes", fontsize=10)
-    figure.savefig(path, dpi=130)
+    canvas.write(path, figure, dpi=130)
 
 
 __all__ = ["draw"]

@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.viz import canvas
+
 
 def draw(
     path: Path, points: NDArray[np.float64], place: NDArray[np.float64], parent: Sequence[int], *, title: str = ""
@@ -19,12 +21,7 @@ def draw(
         parent: (B,) of each body, -1 for the world.
         title: line above the picture.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11, 5), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=11, x=0.01, ha="left")
+    figure = canvas.sheet((11, 5), title)
     low, high = np.vstack([points, place]).min(0), np.vstack([points, place]).max(0)
     inside = np.all((points > low + 0.12) & (points < high - 0.12), axis=1) | (points[:, 2] < low[2] + 0.3)
     solid = figure.add_subplot(1, 2, 1, projection="3d", computed_zorder=False)
@@ -41,7 +38,7 @@ def draw(
     solid.view_init(elev=32, azim=-55)
     above.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
     above.set_title("from above", fontsize=10)
-    figure.savefig(path, dpi=110)
+    canvas.write(path, figure)
 
 
 __all__ = ["draw"]

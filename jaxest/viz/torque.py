@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.viz import canvas
 from jaxest.viz.joints import INK, POINTS, TRUTH
 
 
@@ -33,15 +34,10 @@ def draw(
         logged: (T, d) N m, the log's own torque.
         title: line above the picture.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     pick = slice(None, None, max(1, len(time) // POINTS))
     at = np.asarray(time)[pick] - np.asarray(time)[0]
-    figure = Figure(figsize=(9, 1.6 * len(names) + 0.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = canvas.sheet((9, 1.6 * len(names) + 0.8), title)
     axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
-    figure.suptitle(title, fontsize=11, x=0.01, ha="left")
     for j, axis in enumerate(axes):
         low, high, middle = (np.asarray(x)[pick, j] for x in (lower, upper, mean))
         axis.fill_between(at, low, high, color=INK, alpha=0.18, linewidth=0, label="95 % band")
@@ -58,4 +54,4 @@ def draw(
         axis.set_ylim(bottom - margin, top + margin)
     axes[0].legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, fontsize=8, frameon=False)
     axes[-1].set_xlabel("time [s]")
-    figure.savefig(path, dpi=110)
+    canvas.write(path, figure)

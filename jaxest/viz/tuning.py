@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.viz import canvas
+
 BEST, OTHER, HELD = "#1f4e79", "0.72", "#d1495b"
 
 
@@ -33,13 +35,8 @@ def draw(
         label: what the objective is.
         title: line above the picture.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     rows = 1 + len(names)
-    figure = Figure(figsize=(9, 1.6 + 1.7 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title, fontsize=11, x=0.01, ha="left")
+    figure = canvas.sheet((9, 1.6 + 1.7 * rows), title)
     axes = np.atleast_1d(figure.subplots(rows, 1, sharex=True, height_ratios=[1.8] + [1] * len(names)))
     count = np.arange(1, len(values) + 1)
     order = [start for start in range(values.shape[1]) if start != best] + [best]
@@ -66,7 +63,7 @@ def draw(
         axis.tick_params(labelsize=8, which="both")
     axes[-1].set_xlabel("evaluations", fontsize=9)
     axes[-1].xaxis.get_major_locator().set_params(integer=True)
-    figure.savefig(path, dpi=110)
+    canvas.write(path, figure)
 
 
 def _scale(axis: Any, values: NDArray[Any]) -> None:

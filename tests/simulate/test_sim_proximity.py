@@ -130,7 +130,7 @@ def test_scans_are_kept_whole(scan, tmp_path):
     for one, other in zip(kept, scan, strict=True):
         np.testing.assert_array_equal(one, other)
     (tmp_path / "bad.npz").write_bytes(b"no")
-    with pytest.raises(InputError, match="is not a simulated scan"):
+    with pytest.raises(InputError, match="no run can go on from this file"):
         proximity.load(tmp_path / "bad.npz")
 
 

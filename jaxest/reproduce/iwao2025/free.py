@@ -9,12 +9,13 @@ import numpy as np
 
 from jaxest.filters import run
 from jaxest.io.report import Row
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.iwao2025 import runs
 from jaxest.reproduce.iwao2025.conditions import Condition
 from jaxest.simulate import proximity, rooms
 from jaxest.systems import slam
 from jaxest.types import Reading
+from jaxest.viz import canvas
 
 RUNS = 3
 SECONDS = 30.0

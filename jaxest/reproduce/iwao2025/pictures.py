@@ -7,11 +7,12 @@ import numpy as np
 
 from jaxest.io.clouds import Cloud, write_cloud
 from jaxest.io.report import Row
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.iwao2025 import runs
 from jaxest.reproduce.iwao2025.conditions import Condition
 from jaxest.simulate import proximity, rooms
 from jaxest.types import Reading
+from jaxest.viz import canvas
 
 LINKS = (5, 20)
 CAMERA = {"azimuth": 130.0, "elevation": -35.0}

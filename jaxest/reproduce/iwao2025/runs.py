@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest import kinematics
+from jaxest.files import kept, write_text
 from jaxest.filters import run
 from jaxest.manifolds import quaternion
 from jaxest.reproduce.iwao2025.conditions import CHAIN, Condition
@@ -207,16 +208,17 @@ def result(name: str, one: Condition, plan: Plan, folder: Path | None) -> dict[s
     tag = "_".join(name.replace("%", "pc").replace("'", "").split())
     path = keep(folder) / "runs" / f"{tag}_{plan.seed}_{plan.seconds:g}s.json"
     if folder is not None and path.is_file():
-        kept: dict[str, Any] = json.loads(path.read_text())
-        return kept
+        with kept(path):
+            old: dict[str, Any] = json.loads(path.read_text())
+            if not isinstance(old, dict) or "mean" not in old:
+                raise ValueError("it holds no figures of a run")
+        return old
     made = simulated(one, plan, folder)
     found = estimated(one, plan, made, name == CHAIN)
     out = figures(one, made, found, name == CHAIN)
     if folder is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(".part")
-        part.write_text(json.dumps(out))
-        part.replace(path)
+        write_text(path, json.dumps(out), overwrite=True)
     return out
 
 

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from jaxest.io.report import Row
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.iwao2025 import runs
 from jaxest.reproduce.iwao2025.conditions import CHAIN, Condition, chosen, condition
+from jaxest.viz import canvas
 
 RUNS = 3
 SECONDS = 60.0

@@ -13,11 +13,12 @@ from jaxest.filters import complementary, every, run
 from jaxest.io.report import Row
 from jaxest.kinematics import roll_pitch_yaw
 from jaxest.manifolds import quaternion as quat
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.santaera2015 import hand, kept
 from jaxest.reproduce.santaera2015.table import draw_gripper
 from jaxest.simulate import grasp
 from jaxest.types import Reading
+from jaxest.viz import canvas
 
 SCENES = {
     "rest (fig. 5)": grasp.Scene(tension=0.0),

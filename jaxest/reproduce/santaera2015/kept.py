@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest import files
 from jaxest.io import npz
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -27,8 +28,8 @@ def piece(work: Path | None, name: str, compute: Callable[[], Arrays]) -> Arrays
         return compute()
     path = work / "santaera2015" / f"{name}.npz"
     if path.is_file():
-        with np.load(path, allow_pickle=False) as kept:
-            return dict(kept)
+        with files.kept(path):
+            return npz.load(path).arrays
     made = {key: np.asarray(value) for key, value in compute().items()}
     path.parent.mkdir(parents=True, exist_ok=True)
     npz.save(path, made)

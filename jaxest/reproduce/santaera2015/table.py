@@ -11,9 +11,10 @@ from jaxest import kinematics
 from jaxest.calibration import circle as circles
 from jaxest.filters import last
 from jaxest.io.report import Row
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.santaera2015 import hand, kept
 from jaxest.simulate import grasp
+from jaxest.viz import canvas
 
 RUNS = 100
 BATCH = 20

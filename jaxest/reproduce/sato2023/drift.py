@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.io.report import Row
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.sato2023 import arm
 from jaxest.sensors import link_orientation
 from jaxest.systems import deflection
 from jaxest.types import Reading
+from jaxest.viz import canvas
 
 DRIFTS = (0.0, 1.0)  # deg/s
 RUNS = 4

@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 
 from jaxest.io.report import Row
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.sato2023 import arm
+from jaxest.viz import canvas
 
 COMBINATIONS = {
     "encoders": ("encoders",),

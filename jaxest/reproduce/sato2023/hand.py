@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.io.report import Row
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.sato2023 import arm
 from jaxest.systems import deflection, direct_fusion
+from jaxest.viz import canvas
 
 WITH_IMUS = ("encoders", *arm.IMUS)
 BETTER = "paper: better with IMUs"

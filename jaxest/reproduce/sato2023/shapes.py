@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.io.report import Row
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
+from jaxest.viz import canvas
 
 SHAPES = tuple((kind, size) for kind in ("unimodal", "axisymmetric") for size in (10.0, 100.0, 800.0))
 CENTRE = 3 * np.pi / 4

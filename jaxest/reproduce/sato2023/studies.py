@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 
 from jaxest.io.report import Row
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.sato2023 import arm
 from jaxest.sensors import joint_angle, link_orientation, link_position
 from jaxest.systems import deflection
+from jaxest.viz import canvas
 
 WITH_IMUS, ALL = ("encoders", *arm.IMUS), ("encoders", *arm.IMUS, "end_effector")
 COUNTS = (64, 128, 256, 512, 1024, 2048, 4096, 8192)

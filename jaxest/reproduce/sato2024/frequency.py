@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from jaxest.filters import savitzky_golay as sg
 from jaxest.io.report import Row
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
+from jaxest.viz import canvas
 
 WINDOWS = ((3, 5), (3, 3), (5, 5), (5, 3), (7, 3), (10, 3))
 BORDER = 10 ** (-3 / 20)

@@ -13,11 +13,12 @@ from jaxest.calibration import imu, imu_static, tumble
 from jaxest.filters import run
 from jaxest.io.report import Row
 from jaxest.kinematics import modular
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.simulate import manipulator
 from jaxest.systems import onsite_chain
 from jaxest.systems.onsite_recording import Imu
 from jaxest.types import OK, InputError
+from jaxest.viz import canvas
 
 PAPER = {"assembly 1": 47.0, "assembly 2": 33.0}  # s of excitation
 SECONDS = 60.0  # of swinging that is recorded; the estimate stops by itself

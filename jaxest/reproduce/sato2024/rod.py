@@ -13,10 +13,11 @@ from jaxest.filters import last, run
 from jaxest.io.report import Row
 from jaxest.manifolds import quaternion as quat
 from jaxest.metrics import orientation_error
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.sato2024.recorded import RATE, SHAKING, Recorded, corrected, params, record
 from jaxest.systems import onsite, onsite_batch
 from jaxest.systems.onsite_simulation import Pair
+from jaxest.viz import canvas
 
 PAPER = {"half_width": 3, "degree": 5, "plain": True}
 NOISES = {"gyro 0.01 rad/s, accelerometer 0.05 m/s2": (0.01, 0.05), "three times the noise": (0.03, 0.1)}

@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 
 from jaxest.io.report import Row
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.zakeri2023 import runs
 from jaxest.systems import torque_model, torque_posterior
 from jaxest.systems.torque_settings import TORQUE, VARIANCE
+from jaxest.viz import canvas
 
 
 def table1(choice: Choice, say: Say) -> Section:

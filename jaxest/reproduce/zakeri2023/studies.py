@@ -9,11 +9,12 @@ import numpy as np
 from jaxest.io.report import Row
 from jaxest.mcmc import particle_mh
 from jaxest.mcmc.model import Unknown
-from jaxest.reproduce import Choice, Say, Section, canvas
+from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.zakeri2023 import runs
 from jaxest.reproduce.zakeri2023.figures import health, tau_rows
 from jaxest.systems import torque_model, torque_settings
 from jaxest.systems.torque_settings import TORQUE
+from jaxest.viz import canvas
 
 BASELINES = {"gibbs_bootstrap": 1000, "gibbs_adapted": 1000, "gibbs_adapted_ancestors": 1000, "mh_bootstrap": 1000}
 ITERATIONS = 100  # of a baseline: enough to see that nothing moves, and each costs a hundred guided ones

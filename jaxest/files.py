@@ -2,6 +2,8 @@
 
 import os
 import uuid
+import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -92,3 +94,44 @@ def replacing(path: PathLike, overwrite: bool = False) -> Iterator[BinaryIO]:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_text(path: PathLike, text: str, overwrite: bool = False) -> None:
+    """Write a text in UTF-8, whole or not at all.
+
+    Args:
+        path: where it goes.
+        text: what it will hold.
+        overwrite: whether an existing file may be replaced.
+
+    Raises:
+        InputError: the output exists, or cannot be written.
+    """
+    with replacing(path, overwrite) as file:
+        file.write(text.encode())
+
+
+@contextmanager
+def kept(path: PathLike) -> Iterator[None]:
+    """Read, in the block, a file that an earlier run kept, so that this one goes on from there.
+
+    Args:
+        path: the file.
+
+    Yields:
+        Nothing.
+
+    Raises:
+        InputError: whatever came of reading it; says that the file may be deleted.
+    """
+    try:
+        yield
+    except (InputError, OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        why = str(error).removeprefix(f"{path}: ")
+        raise InputError(
+            f"{path}: no run can go on from this file ({why}); expected what an earlier run kept: "
+            "delete it, and the same command computes it anew"
+        ) from error
+
+
+__all__ = ["PathLike", "existing", "kept", "refuse_existing", "replacing", "write_text"]

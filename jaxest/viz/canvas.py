@@ -1,0 +1,66 @@
+"""What all pictures share: matplotlib off screen, files that are whole or not there, plain axes, colours."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from jaxest.files import replacing
+
+BLUE, RED, GREEN, ORANGE, GREY = "#1f4e79", "#d1495b", "#3a7d44", "#e08e45", "0.45"
+
+
+def sheet(size: tuple[float, float], title: str = "") -> Any:
+    """Return an empty matplotlib figure that needs no screen.
+
+    Args:
+        size: inches, width and height.
+        title: line above it.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=size, layout="constrained")
+    FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title, fontsize=11, x=0.01, ha="left")
+    return figure
+
+
+def write(path: str | Path, figure: Any, dpi: int = 110) -> None:
+    """Write a figure, whole or not at all.
+
+    Args:
+        path: `.png` or another suffix that matplotlib knows; replaced if it exists.
+        figure: of `sheet`.
+        dpi: pixels an inch.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    with replacing(path, overwrite=True) as file:
+        figure.savefig(file, format=Path(path).suffix[1:] or "png", dpi=dpi)
+
+
+def save(path: str | Path, size: tuple[float, float], paint: Callable[[Any], None], title: str = "") -> None:
+    """Paint a figure and write it.
+
+    Args:
+        path: file to write, replaced if it exists.
+        size: inches.
+        paint: adds axes and lines to the figure.
+        title: line above it.
+    """
+    figure = sheet(size, title)
+    paint(figure)
+    write(path, figure)
+
+
+def plain(axis: Any, **labels: str) -> Any:
+    """Take the frame off an axis, add a grid and labels (`xlabel`, `ylabel`, `title`); return it."""
+    axis.grid(alpha=0.25, linewidth=0.6)
+    axis.spines[["top", "right"]].set_visible(False)
+    axis.set(**labels)
+    return axis
+
+
+__all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "RED", "plain", "save", "sheet", "write"]
