@@ -104,7 +104,7 @@ def study(folder):
 
 def chain(folder):
     def advance(state, size):
-        return state + size, np.arange(size)
+        return state + np.int32(size), np.arange(size, dtype=np.int32)
 
     return chains.sample(advance, np.zeros((), np.int32), 4, piece=2, folder=folder)
 
