@@ -1,13 +1,26 @@
-"""The README's example runs as it stands there."""
+"""The README's example runs as it stands there, and commands in README and documentation exist."""
 
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
+import typer.main
 
-README = Path(__file__).parents[1] / "README.md"
+from jaxest import reproduce
+from jaxest.cli.app import app
+
+ROOT = Path(__file__).parents[1]
+README = ROOT / "README.md"
+PAGES = [
+    README,
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "notebooks").glob("*.ipynb")),
+]
 
 
 def test_the_python_example_runs(tmp_path):
@@ -24,3 +37,35 @@ def test_the_python_example_runs(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert len(re.findall(r"-?\d\.\d+", done.stdout)) >= 4 + 9
+
+
+def commands(page):
+    """Words of every `jaxest COMMAND ...` in code of a page, without comments, and of `--part ...` that goes on."""
+    for line in re.findall(r"`([^`\n]+)`", page) + re.findall(
+        r"^(jaxest .*|srun .*jaxest .*)$", page, flags=re.MULTILINE
+    ):
+        words = shlex.split(line.partition("jaxest ")[2] or line, comments=True)
+        if "jaxest " in line or words[:1] == ["--part"]:
+            yield words
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_commands_in_the_documentation_exist(page):
+    known = typer.main.get_command(app).commands
+    paper = ""
+    for words in commands(page.read_text()):
+        if words[0] in known:
+            options = {name for option in known[words[0]].params for name in option.opts}
+            wrong = [word for word in words if word.startswith("-") and word not in options]
+            assert not wrong, words
+        if words[0] == "reproduce" and words[1] in reproduce.PAPERS:
+            paper = words[1]
+        parts = [words[i + 1] for i, word in enumerate(words) if word == "--part"]
+        if parts:
+            assert set(parts) <= set(reproduce.parts(paper)), words
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_scripts_in_the_documentation_exist(page):
+    for script in re.findall(r"python (benchmarks/\w+\.py)", page.read_text()):
+        assert (ROOT / script).is_file(), script
