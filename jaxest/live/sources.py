@@ -9,9 +9,9 @@ null (nothing to say) for each stream: `{"time": 12.5, "gyroscope": [0.1, 0, 0],
 
 import contextlib
 import json
-import math
 import queue
 import socket
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -61,8 +61,8 @@ def parse(line: str | bytes, place: str = "sample") -> Sample:
     if not isinstance(found, dict):
         raise InputError(f"{place}: a JSON {type(found).__name__}, expected an object with 'time' and streams")
     stamp = found.pop("time", None)
-    if isinstance(stamp, bool) or not isinstance(stamp, int | float) or not math.isfinite(stamp):
-        raise InputError(f"{place}: 'time' is {stamp!r}, expected a finite number of seconds")
+    if isinstance(stamp, bool) or not isinstance(stamp, int | float) or not abs(stamp) <= sys.float_info.max:
+        raise InputError(f"{place}: 'time' is {repr(stamp)[:60]}, expected a finite number of seconds")
     for name, value in found.items():
         if value is not None and not _numbers(value):
             raise InputError(f"{place}: stream {name!r} is {json.dumps(value)[:60]}, expected numbers or null")

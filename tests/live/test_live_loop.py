@@ -202,6 +202,7 @@ def test_stopped_by_a_signal_it_leaves_a_whole_checkpoint(tmp_path, number):
         ('{"gyroscope": [1]}', "'time' is None"),
         ('{"time": true}', "'time' is True"),
         ('{"time": NaN}', "'time' is nan"),
+        ('{"time": 1' + 400 * "0" + "}", "expected a finite number of seconds"),
         ('{"time": 1, "gyroscope": "abc"}', "stream 'gyroscope'"),
         ('{"time": 1, "gyroscope": [[[[[[1]]]]]]}', "expected numbers or null"),
         ("[" * 100000, "not a line of JSON"),
