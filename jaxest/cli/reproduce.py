@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from jaxest.cli.devices import Devices
-from jaxest.cli.output import Answer, Force, Json, Verbose, bad_input, command, console, note, working
+from jaxest.cli.output import Answer, Force, Json, Verbose, bad_input, command, console, json_object, note, working
 
 NAME = "reproduce"
 EXAMPLES = (
@@ -51,10 +51,13 @@ def run(
     from jaxest.cli.tables import figures
     from jaxest.io.report import Row, report, to_json
 
-    names = tuple(part or reproduce.parts(paper))
-    if show and not json:
-        console().print("\n".join(reproduce.parts(paper)))
+    known = list(reproduce.parts(paper))
+    if show and json:
+        return Answer(json_object(report(paper, []), parts=known))
+    if show:
+        console().print("\n".join(known))
         return Answer()
+    names = tuple(part or known)
     folder = _folder(out, [f"{name}.png" for name in names], force) if out else None
     choice = reproduce.Choice(seed, small, runs, tuple(row or ()), setting, broad, work)
     rows: list[Row] = []

@@ -24,6 +24,9 @@ def test_small_figures_as_tables_pictures_and_json(invoke, tmp_path):
 def test_parts_are_named(invoke):
     names = invoke("reproduce", "sato2023", "--list").stdout.split()
     assert names[:3] == ["fig1", "fig2", "fig3"]
+    found = json.loads(invoke("reproduce", "sato2023", "--list", "--json").stdout)
+    assert found["parts"] == names
+    assert found["rows"] == []
 
 
 @pytest.mark.parametrize(
