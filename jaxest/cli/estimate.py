@@ -50,7 +50,9 @@ def run(
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="TOML with \\[columns] and the method's settings.")
     ] = None,
-    sensors: Annotated[str | None, typer.Option(help="Kinds of stream to use, separated by commas.")] = None,
+    sensors: Annotated[
+        str | None, typer.Option(help="Kinds of stream to use, separated by commas; of the orientation.")
+    ] = None,
     start: Annotated[float | None, typer.Option(help="Leave out what is earlier, s from the first sample.")] = None,
     end: Annotated[float | None, typer.Option(help="Leave out what is later, s from the first sample.")] = None,
     out: Annotated[
@@ -80,10 +82,10 @@ def run(
 
     if method not in methods.METHODS:
         raise methods.unknown_name("method", method, methods.METHODS)
-    targets = _targets(out, method, force)
+    chosen = settings.load(config)
+    targets = _targets(out, method, methods.files(method, chosen.method(method)), force)
     if robot is not None:
         existing(robot)
-    chosen = settings.load(config)
     whole = read(log, chosen.columns)
     if whole.notes:
         note(f"{log.name}: {'; '.join(whole.notes)}")
@@ -99,11 +101,13 @@ def run(
     text = to_json(report(method, rows))
     out.mkdir(parents=True, exist_ok=True)
     write(outcome.estimate, targets[0], overwrite=force)
-    write_text(targets[1], f"{text}\n", overwrite=force)
-    for name, content in outcome.files.items():
+    written = [targets[0]]
+    for name, content in {targets[1].name: f"{text}\n", **outcome.files}.items():
         write_text(out / name, content, overwrite=force)
+        written.append(out / name)
     if len(targets) > 2 and outcome.draw:
         outcome.draw(targets[2], f"{log.stem}: {method}")
+        written.append(targets[2])
     for line in outcome.refused:
         warn(f"do not use this estimate: {line}")
     status = REJECTED if outcome.refused else DONE
@@ -112,22 +116,19 @@ def run(
     page = console()
     page.print(figures(rows[len(methods.SIZE) :], f"{log.stem}: {method}, {methods.size(rows)}"))
     note("; ".join(outcome.notes))
-    page.print(
-        f"wrote {', '.join(str(target) for target in (*targets, *(out / name for name in outcome.files)))}",
-        soft_wrap=True,
-    )
+    page.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True)
     if len(targets) < 3:
         note("no picture: pip install 'jaxest[viz]'")
     return Answer(status=status)
 
 
-def _targets(out: Path, method: str, force: bool) -> list[Path]:
-    """The files to write, checked before anything is computed."""
+def _targets(out: Path, method: str, files: tuple[str, ...], force: bool) -> list[Path]:
+    """The files that every method writes; they and the method's own `files` are checked before anything runs."""
     names = ["estimate.npz", "report.json"]
     names += [f"{method}.png"] if importlib.util.find_spec("matplotlib") else []
     if out.exists() and not out.is_dir():
         raise bad_input(f"{out}: is a file, expected a folder to write into")
-    there = [name for name in names if (out / name).exists()]
+    there = [name for name in (*names, *files) if (out / name).exists()]
     if there and not force:
         raise bad_input(f"{out}: {', '.join(there)} exists already and is kept; pass --force to replace it")
     return [out / name for name in names]

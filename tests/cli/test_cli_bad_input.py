@@ -139,6 +139,15 @@ def test_unknown_method(refused, tmp_path):
     assert "did you mean 'orientation'" in refused("estimate", "a.npz", "-m", "orientaton")
 
 
+def test_options_that_a_method_does_not_have_are_refused_rather_than_ignored(refused, tmp_path):
+    write(turning(30), tmp_path / "a.npz")
+    (tmp_path / "arm.xml").write_text("<mujoco/>")
+    message = refused("estimate", "a.npz", *ESTIMATE, "--robot", "arm.xml")
+    assert "--robot arm.xml: the method 'orientation' knows no robot" in message.replace("\n", " ")
+    words = ("estimate", "a.npz", "-m", "posture", "-o", "out", "--sensors", "gyroscope")
+    assert "--sensors: the method 'posture' uses the sensors that [posture] names" in refused(*words).replace("\n", " ")
+
+
 def test_unknown_sensor(refused, tmp_path):
     write(turning(30), tmp_path / "a.npz")
     message = refused("estimate", "a.npz", *ESTIMATE, "--sensors", "gyroscope,acelerometer")

@@ -89,6 +89,12 @@ def test_a_robot_of_modules(invoke, tmp_path):
     mountings = {side: [[float(x) for x in v] for v in pose]
                  for side, pose in (("after", modules[1].after), ("before", modules[2].before))}  # fmt: skip
     (tmp_path / "c.toml").write_text(MODULES.format(off=0.0, **mountings))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "robot.xml").write_text("<mujoco/>")
+    kept = invoke("estimate", "log.npz", "-m", "onsite", "-c", "c.toml", "-o", "mine")
+    assert kept.exit_code == 2
+    assert "robot.xml exists already and is kept" in kept.stderr
+    assert [f.name for f in (tmp_path / "mine").iterdir()] == ["robot.xml"]
     result = invoke("estimate", "log.npz", "-m", "onsite", "-c", "c.toml", "-o", "out", "--json")
     assert result.exit_code == 0, result.output
     found = read(tmp_path / "out" / "estimate.npz").streams
@@ -121,6 +127,20 @@ def test_axes_that_cannot_be(refused, rod, tmp_path):
     (tmp_path / "c.toml").write_text("[onsite]\ngyroscope_axes = -0.1\n")
     message = refused("estimate", "log.npz", "-m", "onsite", "-c", "c.toml", "-o", "out")
     assert "[onsite] gyroscope_axes: got -0.1, expected a number of 0 or more" in message.replace("\n", " ")
+
+
+def test_what_a_config_says_is_used_or_refused():
+    """A tape measure knows the position alone: no rotation is made up beside it."""
+    true = onsite_config.truth({"position": [0.1, 0, 0]})
+    assert true.quaternion is None
+    assert true.position.tolist() == [0.1, 0, 0]
+    assert onsite_config.truth({"quaternion": [0, 1, 0, 0]}).position is None
+    assert onsite_config.truth({}) == (None, None)
+    with pytest.raises(InputError, match=r"\[onsite\] clocks: is of two IMUs"):
+        onsite_config.refuse_idle({"modules": {}, "clocks": True})
+    with pytest.raises(InputError, match=r"\[onsite\] tool: is of a robot"):
+        onsite_config.refuse_idle({"first": "a", "tool": {}})
+    onsite_config.refuse_idle({"first": "a", "second": "b", "modules": {}})  # what `inspect` prints for a pair
 
 
 def test_inspect_proposes_a_first_config(invoke, rod, tmp_path):

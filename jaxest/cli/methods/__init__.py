@@ -1,6 +1,8 @@
 """The methods of `jaxest estimate`, one file each: which streams they need, and how a log becomes an estimate.
 
-A method is a module with `estimate(log, request) -> Outcome`, named in `METHODS` and loaded when it is asked for.
+A method is a module with `schema() -> dict` (its table of a config) and `estimate(log, request) -> Outcome`, named in
+`METHODS` and loaded when it is asked for; one that writes files of its own beside the estimate names them by
+`files(settings) -> names`.
 """
 
 import importlib
@@ -23,6 +25,10 @@ METHODS = {
 """Name of a method, and the module that holds it."""
 PIECES = ("torque",)
 """Methods that run in pieces and can go on from the last one."""
+ROBOTLESS = ("orientation", "onsite")
+"""Methods that need no robot."""
+CHOOSING = ("orientation",)
+"""Methods whose sensors may be chosen by kind; the others' are those that their table of the config names."""
 
 SIZE = ("samples", "duration")
 """Metrics of the first two rows of every outcome."""
@@ -34,7 +40,7 @@ class Request(NamedTuple):
     settings: Mapping[str, Any] = {}
     """the config's table of the method's name"""
     sensors: tuple[str, ...] | None = None
-    """kinds of stream to use; None leaves the choice to the config, then to the log"""
+    """kinds of stream to use, for methods of `CHOOSING`; None leaves the choice to the config, then to the log"""
     nan: str = "error"
     """`error`, or `missing` where values that are not finite count as missing samples"""
     robot: Path | None = None
@@ -74,13 +80,27 @@ def estimate(method: str, log: SensorLog, request: Request) -> Outcome:
         The outcome.
 
     Raises:
-        InputError: an unknown method, or a log that the method cannot use.
+        InputError: an unknown method, an option that it does not have, or a log that it cannot use.
     """
     if method not in METHODS:
         raise unknown_name("method", method, METHODS)
     if request.work is not None and method not in PIECES:
         raise InputError(f"--work: the method {method!r} keeps no pieces; {', '.join(PIECES)} does")
+    if request.robot is not None and method in ROBOTLESS:
+        raise InputError(f"--robot {request.robot}: the method {method!r} knows no robot, expected none; leave it out")
+    if request.sensors is not None and method not in CHOOSING:
+        raise InputError(
+            f"--sensors: the method {method!r} uses the sensors that [{method}] names in a config, expected no others; "
+            "leave it out"
+        )
     return importlib.import_module(METHODS[method]).estimate(log, request)
+
+
+def files(method: str, settings: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the names of the files that a method will write beside the estimate under a config's settings."""
+    module = importlib.import_module(METHODS[method])
+    found: tuple[str, ...] = module.files(settings) if hasattr(module, "files") else ()
+    return found
 
 
 def size(rows: list[Row]) -> str:
@@ -89,4 +109,4 @@ def size(rows: list[Row]) -> str:
     return f"{samples:.0f} samples in {duration:.1f} s"
 
 
-__all__ = ["METHODS", "PIECES", "SIZE", "Outcome", "Request", "estimate", "size"]
+__all__ = ["CHOOSING", "METHODS", "PIECES", "ROBOTLESS", "SIZE", "Outcome", "Request", "estimate", "files", "size"]

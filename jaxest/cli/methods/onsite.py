@@ -18,6 +18,12 @@ from jaxest.types import InputError
 KINDS = ("gyroscope", "accelerometer")
 AXES = ("gyroscope_axes", "accelerometer_axes")
 KEPT = ("position", "orientation", "pose_covariance")
+ROBOTS = ("robot.xml", "robot.urdf")
+
+
+def files(settings: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the names of the files that are written beside the estimate: of a robot, its MJCF and URDF."""
+    return ROBOTS if "modules" in settings else ()
 
 
 def estimate(log: SensorLog, request: Request) -> Outcome:
@@ -37,8 +43,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
             does not determine a component; which is said.
     """
     log, settings = to_si(log), request.settings
-    if request.sensors:
-        raise InputError("--sensors: the method 'onsite' takes the IMUs that the config names; leave it out")
+    onsite_config.refuse_idle(settings)
     return _robot(log, settings, request.nan) if "modules" in settings else _pair(log, settings, request.nan)
 
 
@@ -115,7 +120,7 @@ def _pair(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
     if found.offset:
         rows.append(Row("clock offset", names[1], 1e3 * found.offset.seconds, "ms", 1e3 * found.offset.deviation))
     true = onsite_config.truth(settings)
-    rows += _errors(position, turn, covariance, true) if true else []
+    rows += _errors(position, turn, true)
     step = (found.time[-1] - found.time[0]) / max(len(found.time) - 1, 1)
     notes = [
         f"{names[1]} in {names[0]}, windows of {2 * found.half_width + 1} samples, "
@@ -127,7 +132,7 @@ def _pair(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
         from jaxest.viz import onsite as picture
 
         title_of = f"{names[1]} in {names[0]}"
-        places = None if true is None else [np.asarray(true.translation)]
+        places = None if true.position is None else [true.position]
         picture.draw(path, found.time, {title_of: (live[0], live[2])}, {title_of: position}, places, title=title)
 
     return Outcome(SensorLog(streams, log.source), rows, notes, [], draw)
@@ -199,14 +204,18 @@ def _pose_rows(condition: str, position: Any, turn: Any, covariance: Any) -> lis
     return [*rows, Row("rotation, standard deviation", condition, spread, "deg")]
 
 
-def _errors(position: Any, turn: Any, covariance: Any, true: Any) -> list[Row]:
+def _errors(position: Any, turn: Any, true: onsite_config.Truth) -> list[Row]:
+    """Errors to what the config knows of the pose."""
     from jaxest.systems.onsite_recording import rotation_error
 
-    away = position - np.asarray(true.translation)
-    distance = float(np.linalg.norm(away))
-    angle = rotation_error(np.asarray(turn, np.float32), np.asarray(true.rotation, np.float32))
-    return [Row("position error", "to the config's", 1e3 * distance, "mm"),
-            Row("rotation error", "to the config's", math.degrees(angle), "deg")]  # fmt: skip
+    rows = []
+    if true.position is not None:
+        distance = float(np.linalg.norm(position - true.position))
+        rows.append(Row("position error", "to the config's", 1e3 * distance, "mm"))
+    if true.quaternion is not None:
+        angle = rotation_error(np.asarray(turn, np.float32), true.quaternion.astype(np.float32))
+        rows.append(Row("rotation error", "to the config's", math.degrees(angle), "deg"))
+    return rows
 
 
 def _robot(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
@@ -264,8 +273,8 @@ def _robot(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
         }
         picture.draw(path, time, curves, {}, None, title=title)
 
-    files = {"robot.xml": to_mjcf(robot), "robot.urdf": to_urdf(robot)}
-    return Outcome(SensorLog(streams, log.source), rows, notes, refused, draw, files)
+    texts = dict(zip(ROBOTS, (to_mjcf(robot), to_urdf(robot)), strict=True))
+    return Outcome(SensorLog(streams, log.source), rows, notes, refused, draw, texts)
 
 
 def _single(x: Any) -> Any:
@@ -292,4 +301,4 @@ def _open(names: list[str], final: Any, limits: Mapping[str, float], axes: float
     )
 
 
-__all__ = ["estimate", "schema"]
+__all__ = ["estimate", "files", "schema"]

@@ -7,9 +7,11 @@ second = "imu1"
 calibration = "imus.json"             # as jaxest.calibration.imu.save writes it
 gyroscope_axes = 0.01                 # what axes may be off in scale and direction; without it the calibration's word,
 accelerometer_axes = 0.01             # or 1 %
+gyroscope_bias = 0.3                  # rad/s, standard deviation of either gyro's bias, and m/s2 of an accelerometer's;
+accelerometer_bias = 0.3              # without it usual ones, or the calibration's
 clocks = true                         # look for an offset between the IMUs' clocks and take it off
-position = [-0.2, 0, 0]               # m, the truth, if it is known: errors are printed
-quaternion = [1, 0, 0, 0]
+position = [-0.2, 0, 0]               # m, the truth, if it is known: its error is printed
+quaternion = [1, 0, 0, 0]             # likewise
 
 [onsite.modules.joint1]               # or a robot: its modules, from the base outwards
 axis = [0, 0, 1]
@@ -22,6 +24,9 @@ after = { imu = "imu2", position = [0.03, 0, 0.015] }
 [onsite.tool]                         # the gripper in the last module's horn
 position = [0.1, 0, 0]
 ```
+
+A robot is known when two standard deviations are below `position_limit` (m, 0.005) and `rotation_limit_deg` (0.1), keys
+of `[onsite]`.
 """
 
 import json
@@ -29,6 +34,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jaxest.kinematics import modular
 from jaxest.manifolds.se3 import Pose
@@ -36,6 +42,19 @@ from jaxest.types import InputError
 
 PLACE = {"position": list, "quaternion": list}
 MOUNTING = {"imu": str, **PLACE}
+
+
+OF_PAIRS = ("gyroscope_bias", "accelerometer_bias", "clocks", "position", "quaternion")
+OF_ROBOTS = ("tool", "position_limit", "rotation_limit_deg")
+
+
+class Truth(NamedTuple):
+    """What is known of the second IMU's pose in the first."""
+
+    position: NDArray[np.float64] | None
+    """(3,) m."""
+    quaternion: NDArray[np.float64] | None
+    """(4,) wxyz."""
 
 
 class Modules(NamedTuple):
@@ -102,10 +121,20 @@ def _numbers(spot: str, value: Any, size: int) -> list[float]:
     return [float(x) for x in value]
 
 
-def truth(settings: Mapping[str, Any]) -> Pose | None:
-    """Return the pose that the config knows, if it knows one."""
-    given = {key: settings[key] for key in PLACE if key in settings}
-    return _pose("[onsite]", given) if "position" in given else None
+def truth(settings: Mapping[str, Any]) -> Truth:
+    """Return what the config knows of the pose."""
+    known = _pose("[onsite]", {key: settings[key] for key in PLACE if key in settings})
+    return Truth(*(np.asarray(value) if key in settings else None
+                   for key, value in (("position", known.translation), ("quaternion", known.rotation))))  # fmt: skip
+
+
+def refuse_idle(settings: Mapping[str, Any]) -> None:
+    """Refuse keys that say nothing of what is estimated, two IMUs or a robot; raises InputError."""
+    idle, of = (OF_PAIRS, "two IMUs") if "modules" in settings else (OF_ROBOTS, "a robot")
+    found = next((key for key in idle if key in settings), None)
+    if found is not None:
+        here = "[onsite.modules] describes a robot" if "modules" in settings else "there is no [onsite.modules]"
+        raise InputError(f"[onsite] {found}: is of {of}, and {here}; leave it out")
 
 
 def of_log(imus: Sequence[str]) -> str:
@@ -137,4 +166,4 @@ def of_log(imus: Sequence[str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-__all__ = ["Modules", "modules", "of_log", "schema", "truth"]
+__all__ = ["Modules", "Truth", "modules", "of_log", "refuse_idle", "schema", "truth"]
