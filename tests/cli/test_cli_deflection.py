@@ -141,7 +141,23 @@ BAD = {
     "columns": (
         CONFIG,
         {"joint_position": ("names", ("a", "b", "c", "d"))},
-        ["'joint_position'", "a, b, c, d", "yaw"],
+        ["'joint_position'", "a, b, c, d", "yaw", "joints = [...]"],
+    ),
+    "joints of a frame": (
+        CONFIG.replace('frame = "site:imu3"', 'frame = "site:imu3"\njoints = ["yaw"]'), {},
+        ["sensors.imu3", "joints is ['yaw'] and would do nothing"],
+    ),
+    "two frames": (
+        CONFIG.replace('frame = "site:imu3"', 'frame = "site:imu3"\nframes = ["site:imu2"]'), {},
+        ["sensors.imu3", "frame is 'site:imu3' and would do nothing"],
+    ),
+    "filter of a stream": (
+        CONFIG.replace('frame = "site:imu3"', 'frame = "site:imu3"\nattitude = "ekf"'), {},
+        ["sensors.imu3", "attitude is 'ekf' and would do nothing", "raw IMU"],
+    ),
+    "order of angles": (
+        CONFIG.replace("concentration = 15.0", 'concentration = 15.0\norder = "xyzw"'), {},
+        ["sensors.encoders", "order is 'xyzw' and would do nothing"],
     ),
 }  # fmt: skip
 

@@ -59,8 +59,6 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
     if request.robot is None:
         raise InputError("the method 'deflection' needs a robot: --robot FILE (MJCF or URDF)")
-    if request.sensors:
-        raise InputError("--sensors: the deflection's sensors are those of the config; leave tables out there")
     settings, log = request.settings, to_si(log)
     described, robot = sensors(settings), kinematics.load(request.robot)
     joints = deflection_joints.chosen(robot, settings)

@@ -77,6 +77,7 @@ def _described(name: str, table: Mapping[str, Any]) -> Described:
     kind = table.get("kind", "")
     if kind not in KINDS:
         raise InputError(f"{place(name)}: {unknown_name('kind', kind, KINDS)}")
+    _refuse_idle(name, kind, table)
     frames = tuple(table.get("frames", ())) or ((table["frame"],) if "frame" in table else ())
     wanted = KINDS[kind].FRAMES
     if len(frames) != wanted:
@@ -93,6 +94,21 @@ def _described(name: str, table: Mapping[str, Any]) -> Described:
     imu = table.get("imu")
     stream = table["stream"] if imu is None else f"{imu}/orientation" if imu else "orientation"
     return Described(sensor, stream, imu, table.get("attitude", ATTITUDES[0]), table.get("order", ORDERS[0]))
+
+
+def _refuse_idle(name: str, kind: str, table: Mapping[str, Any]) -> None:
+    """Refuse keys of a table that would do nothing."""
+    from jaxest.sensors import KINDS
+
+    turned = KINDS[kind].VALUE in ((4,), (7,)) and "imu" not in table
+    for key, idle, why in (
+        ("frame", "frames" in table, "frames is there too"),
+        ("joints", KINDS[kind].FRAMES > 0, f"a {kind} looks at frames"),
+        ("attitude", "imu" not in table, 'it is for a raw IMU, imu = "..."'),
+        ("order", not turned, "it is for quaternions that are read from a stream"),
+    ):
+        if key in table and idle:
+            raise InputError(f"{place(name)}: {key} is {table[key]!r} and would do nothing ({why}); leave it out")
 
 
 def _params(name: str, kind: str, table: Mapping[str, Any]) -> Any:

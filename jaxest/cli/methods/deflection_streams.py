@@ -78,7 +78,10 @@ def columns(item: Stream, spot: str, names: tuple[str, ...]) -> dict[int, int]:
         raise InputError(f"{spot}: {len(given)} joints named for {width} columns")
     found = {at: given.index(name) for at, name in enumerate(names) if name in given}
     if not found:
-        raise InputError(f"{spot}: its columns are {', '.join(given)}, none of the joints {', '.join(names)}")
+        raise InputError(
+            f"{spot}: its columns are {', '.join(given)}, none of the joints {', '.join(names)}; expected these names, "
+            "or a sensor's joints = [...] in the config that says whose they are"
+        )
     return found
 
 
