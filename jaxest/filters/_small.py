@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxest.types import Array
+from jaxest.types import OUT_OF_RANGE, Array
 
 SWEEPS = 5  # of Jacobi: each squares what is off the diagonal, once it is small
 
@@ -21,6 +21,23 @@ def finite(tree: Any) -> Array:
     """Return whether all floating leaves are finite, () bool."""
     leaves = [x for x in jax.tree.leaves(tree) if jnp.issubdtype(x.dtype, jnp.floating)]
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]))
+
+
+def within_range(before: Any, after: Any, info: Any) -> tuple[Any, Any]:
+    """Take a step where all of its numbers are finite, and otherwise none, with a word.
+
+    Args:
+        before: the state that the step began with.
+        after: the state that it led to.
+        info: what it says; has a `status`.
+
+    Returns:
+        The state, which is the one before where a number outgrew the precision, the step being counted; and the info,
+        whose status is `OUT_OF_RANGE` there.
+    """
+    fits = finite((after, info))
+    kept = jax.tree.map(lambda new, old: jnp.where(fits, new, old), after, before._replace(index=after.index))
+    return kept, info._replace(status=jnp.where(fits, info.status, OUT_OF_RANGE))
 
 
 def product(a: Array, b: Array) -> Array:

@@ -26,6 +26,7 @@ from jaxest.filters._small import (
     sandwich,
     trace,
     transposed,
+    within_range,
 )
 from jaxest.filters.bingham_pairs import Information, general, isotropic, noise_matrix, pair_matrix, parameter
 from jaxest.manifolds import quaternion as quat
@@ -104,7 +105,7 @@ class Info(NamedTuple):
     valid: Array
     """() bool, whether the rotation is known better than 0.3 rad about every axis."""
     status: Array
-    """() int32, `OK` or `NON_FINITE`."""
+    """() int32, `OK`, `NON_FINITE`, or `OUT_OF_RANGE` (state as before)."""
 
 
 def init(params: Params, *, key: Array | None = None) -> State:
@@ -252,17 +253,17 @@ def step(
     before = estimate(params, state, information=information)
     ready = state.weight > LEAST
     innovation, log_evidence = _surprise(params, state, before, z)
-    state = add(state, z, there.astype(dtype), jnp.asarray(params.forgetting, dtype))
-    after = estimate(params, state, information=information)
+    moved = add(state, z, there.astype(dtype), jnp.asarray(params.forgetting, dtype))
+    after = estimate(params, moved, information=information)
     known = jnp.max(jnp.diagonal(after.covariance)) < 0.09
     info = Info(
         *after[:4],
         jnp.where(there, innovation, 0),
         jnp.where(there & ready, log_evidence, 0),
-        known & (state.weight > 2),
+        known & (moved.weight > 2),
         status,
     )
-    return state, info
+    return within_range(state, moved, info)
 
 
 def _surprise(params: Params, state: State, before: Estimate, z: Array) -> tuple[Array, Array]:

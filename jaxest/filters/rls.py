@@ -28,6 +28,7 @@ from jaxest.filters._small import (
     trace,
     transposed,
     turned_back,
+    within_range,
 )
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
 
@@ -98,7 +99,7 @@ class Info(NamedTuple):
     valid: Array
     """() bool, whether every unknown is determined."""
     status: Array
-    """() int32, `OK` or `NON_FINITE`."""
+    """() int32, `OK`, `NON_FINITE`, or `OUT_OF_RANGE` (state as before)."""
 
 
 def init(params: Params, *, key: Array | None = None, lag: int = 100) -> State:
@@ -189,9 +190,9 @@ def step(
     if block < 1:
         raise ValueError(f"block: got {block}, expected at least 1")
     o, y, noisy, there, status = usable(measurement, state.projection.dtype)
-    state, known = advance(params, state, (o, y, noisy, there), block=block, start=start)
-    found = solved(params, state, known.variance)
-    return state._replace(estimate=found[0]), read(state, found, known, status, block=block)
+    moved, known = advance(params, state, (o, y, noisy, there), block=block, start=start)
+    found = solved(params, moved, known.variance)
+    return within_range(state, moved._replace(estimate=found[0]), read(moved, found, known, status, block=block))
 
 
 class Residuals(NamedTuple):

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from jaxest.filters import bingham_linear, rls
 from jaxest.filters import savitzky_golay as sg
-from jaxest.filters._small import applied, eigen4, eye, held, largest, trace, transposed, turned_back
+from jaxest.filters._small import applied, eigen4, eye, held, largest, trace, transposed, turned_back, within_range
 from jaxest.manifolds import quaternion as quat
 from jaxest.systems import _onsite_covariance as unknown
 from jaxest.systems import _onsite_window as win
@@ -88,8 +88,7 @@ def step(
                 f"measurement, {name}: got shapes {shapes[0]} and {shapes[1]} for value and valid, {shapes[2]} for "
                 "dt, expected (3,), () and (); vmap or run adds other axes"
             )
-    found: tuple[State, Info] = _one_or_many(degree, plain)(params, state, measurement)
-    return found
+    return within_range(state, *_one_or_many(degree, plain)(params, state, measurement))
 
 
 @functools.cache

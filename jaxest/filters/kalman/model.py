@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxest.filters._small import within_range
 from jaxest.filters.kalman.factors import Factor
 from jaxest.filters.kalman.gain import Gain, by_size
 from jaxest.filters.kalman.gaussian import Gaussian, predict
@@ -86,7 +87,7 @@ class Info(NamedTuple):
     iterations: Array
     """() int32, linearisations."""
     status: Array
-    """() int32, `OK`, `NON_FINITE` or `NOT_CONVERGED`."""
+    """() int32, `OK`, `NON_FINITE`, `NOT_CONVERGED`, or `OUT_OF_RANGE` (state as before)."""
 
 
 def sensor(
@@ -169,9 +170,10 @@ def _step(
         gain=model.gain,
     )
     status = jnp.where(broken & (info.status == OK), NON_FINITE, info.status).astype(jnp.int32)
-    state = State(belief.mean, belief.covariance, state.index + 1)
     fields = {name: getattr(info, name) for name in Info._fields[2:-1]}
-    return state, Info(belief.mean, belief.covariance, **fields, status=status)
+    found = Info(belief.mean, belief.covariance, **fields, status=status)
+    state, found = within_range(state, State(belief.mean, belief.covariance, state.index + 1), found)
+    return state, found._replace(mean=state.mean, covariance=state.covariance)
 
 
 def factors(model: Model, params: PyTree, measurement: PyTree) -> list[Factor]:
