@@ -121,7 +121,7 @@ def _streams(raw: Raw, words: dict[str, Word], assumed: list[str], unsure: list[
         else:
             rest.append(name)
     for (kind, owner), names in groups.items():
-        names = sorted(names, key=lambda n: (len(words[n].component), words[n].component.replace("w", "W")))
+        names = sorted(names, key=lambda n: _place(words[n].component))
         value = np.stack([raw.arrays[n] for n in names], axis=-1) if _equal(raw, names) else np.zeros((0, 0))
         units_of = {words[n].unit for n in names}
         column = Column(columns=tuple(names), unit=units_of.pop() if len(units_of) == 1 else "")
@@ -137,6 +137,11 @@ def _streams(raw: Raw, words: dict[str, Word], assumed: list[str], unsure: list[
             _add(found, name.strip("/") or "column", Column(array=name), value, words[name].owner, unsure, named=True)
             assumed.append(f"{name}: kept as a stream of its own, unit not known")
     return found
+
+
+def _place(component: str) -> int:
+    """Order of a component among others: a number's own, `wxyz`; joints by their names stay as they are in the file."""
+    return int(component) if component.isdigit() else "wxyz".find(component)
 
 
 def _transposed(kind: str, value: NDArray[Any], clocks: set[int]) -> bool:

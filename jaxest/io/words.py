@@ -16,7 +16,7 @@ class Word(NamedTuple):
     owner: str
     """What is left of the name: `imu0` in `imu0_gyr_x`, `cmd` in `dq_cmd`."""
     component: str
-    """`x`, `y`, `z`, `w` or a number, or nothing."""
+    """`x`, `y`, `z`, `w`, a number or a joint's name, or nothing."""
     unit: str
 
 
@@ -74,12 +74,20 @@ def classify(name: str) -> Word:
     tokens, component = _component(tokens)
     before = tokens
     tokens, kind = _kind(tokens, component)
+    if not kind and tokens[-1:] == ["joint"]:  # `arm_j0`, `elbow_joint`: a robot's joint by its name
+        kind, tokens, component = ("joint_position", tokens, component) if component else _by_name(tokens)
     if kind == "time" and not unit:  # a clock may be called by its unit: `millis`
         unit = next((_UNIT_TOKENS[t] for t in before if t in _CLOCKS), "")
     if not unit and tokens and _fits(kind, _UNIT_TOKENS.get(tokens[-1], "")):
         unit = _UNIT_TOKENS[tokens[-1]]
         tokens = tokens[:-1]
     return Word(kind, "_".join(t for t in tokens if t not in _EMPTY), component, unit if _fits(kind, unit) else "")
+
+
+def _by_name(tokens: list[str]) -> tuple[str, list[str], str]:
+    """What is left of a joint's name before `joint` is its component."""
+    name = "_".join(tokens[:-1])
+    return ("joint_position", [], name) if name else ("", tokens, "")
 
 
 def _fits(kind: str, unit: str) -> bool:

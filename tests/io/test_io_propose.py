@@ -31,6 +31,11 @@ RNG = np.random.default_rng(0)
         ("mag x [uT]", ("magnetometer", "", "x", "uT")),
         ("qw", ("orientation", "", "w", "")),
         ("q3", ("joint_position", "", "3", "")),
+        ("right_j0", ("joint_position", "right", "0", "")),
+        ("joint_2", ("joint_position", "", "2", "")),
+        ("shoulder_pan_joint", ("joint_position", "", "shoulder_pan", "")),
+        ("joint_2_temperature", ("", "temperature", "2", "")),
+        ("joint", ("", "", "", "")),
         ("joint_3_position", ("joint_position", "", "3", "")),
         ("dq_cmd", ("joint_velocity", "cmd", "", "")),
         ("target_positions", ("joint_position", "target", "", "")),
@@ -146,3 +151,20 @@ def test_a_period_becomes_a_rate_and_leftovers_are_named(tmp_path):
 def test_nothing_to_read(tmp_path):
     with pytest.raises(InputError, match=r"nothing here looks like a stream; arrays: a \(3,\)"):
         read(save(tmp_path, a=np.zeros(3)))
+
+
+@pytest.mark.parametrize(
+    ("names", "stream"),
+    [
+        (["arm_j0", "arm_j1", "arm_j10"], "arm/joint_position"),
+        (["shoulder_pan_joint", "elbow_joint", "wrist_1_joint"], "joint_position"),
+    ],
+)
+def test_columns_that_are_called_as_joints_are_one_stream_in_their_order(tmp_path, names, stream):
+    value = RNG.normal(size=(N, 3))
+    rows = np.c_[np.arange(N) / 10, value].tolist()
+    lines = [["time", *names], *([repr(x) for x in row] for row in rows)]
+    (tmp_path / "log.csv").write_text("\n".join(",".join(line) for line in lines))
+    found = read(tmp_path / "log.csv").streams[stream]
+    assert found.names == tuple(names)
+    np.testing.assert_array_equal(found.value, value)
