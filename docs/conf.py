@@ -19,11 +19,14 @@ myst_heading_anchors = 3
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 napoleon_google_docstring = True
+napoleon_use_rtype = False  # shapes before a colon are no types to link to
 suppress_warnings = ["myst.header", "mystnb.unknown_mime_type", "misc.highlighting_failure"]
 
-# Sphinx reads below its own folder only.
+# Sphinx reads below its own folder only, so that what notebooks link to lies elsewhere.
 here = Path(__file__).parent
 shutil.copytree(here.parent / "notebooks", here / "notebooks", dirs_exist_ok=True)
+for book in (here / "notebooks").glob("*.ipynb"):
+    book.write_text(book.read_text(encoding="utf-8").replace("](../docs/", "](../"), encoding="utf-8")
 
 
 def messages() -> None:
@@ -36,20 +39,40 @@ def messages() -> None:
     (here / "messages.md").write_text("\n".join([*head, *rows]) + "\n")
 
 
+CODE = re.compile(r"(``[^`]*``|`(?:[^`\n]|\n(?!\s*\n))*`)")
+STAR = re.compile(r"^(\s*\* )|[*|]", re.MULTILINE)
+fields: dict[str, list[str]] = {}
+
+
+def escaped(star: re.Match[str]) -> str:
+    """A star or bar that means itself; one that opens an entry of a list stays."""
+    return star[1] or f"\\{star[0]}"
+
+
 def as_markdown(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
     """Take single backticks in docstrings for code, and stars and bars for what they are."""
-    del app, what, name, thing, options
-    for i, line in enumerate(lines):
-        parts = re.split(r"(``[^`]*``|`[^`]*`)", line)
-        lines[i] = "".join(
-            (p if p.startswith("``") else f"`{p}`") if p.startswith("`") else re.sub(r"([*|])", r"\\\1", p)
-            for p in parts
-        )
+    del app, thing, options
+    parts = [p if i % 2 else STAR.sub(escaped, p) for i, p in enumerate(CODE.split("\n".join(lines)))]
+    for i in range(1, len(parts), 2):
+        parts[i] = parts[i] if parts[i].startswith("``") else f"`{parts[i]}`"
+        if re.match(r"\w", parts[i + 1]):  # reStructuredText ends code at a blank only
+            parts[i + 1] = "\\ " + parts[i + 1]
+    lines[:] = "".join(parts).split("\n")
+    if what == "attribute":  # napoleon takes what stands before a colon for a type
+        fields[name] = lines[:]
+        lines.clear()
+
+
+def with_fields(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """Put back what napoleon must not see."""
+    del app, what, thing, options
+    lines[:] = fields.pop(name, lines)
 
 
 def setup(app: Any) -> None:
-    """Connect before napoleon, which reads the sections."""
+    """Connect before and after napoleon, which reads the sections."""
     app.connect("autodoc-process-docstring", as_markdown, priority=400)
+    app.connect("autodoc-process-docstring", with_fields, priority=600)
 
 
 messages()
