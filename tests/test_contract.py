@@ -21,6 +21,7 @@ from onsite_models import chain, pose, position, rotation, window
 from particle_models import GUIDED
 from particle_models import build as particle_arm
 from posture_models import fused, paired, pairs
+from quick_compile import QUICK
 from slam_models import tiny
 
 from jaxest import kinematics
@@ -89,7 +90,6 @@ EAGERLY_SLOW = ("posture", "onsite_chain", "slam", "deflection_guided", "deflect
 STEPS = 12
 BATCH = 8
 # Compiles five times faster; what is compared with the live step is therefore also compiled differently.
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 
 
 class Case(NamedTuple):

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 
 from jaxest import kinematics, models
 from jaxest.distributions import _bingham_normalizer as bingham
@@ -20,7 +21,7 @@ from jaxest.manifolds import quaternion
 
 N = 3
 # What is tested are JAX's rules; the compiler's effort would be most of the time.
-quick = partial(jax.jit, compiler_options={"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0})
+quick = partial(jax.jit, compiler_options=QUICK)
 ARM = kinematics.load(models.path("arm"))
 ROVER = kinematics.load(models.path("rover"))
 

@@ -23,7 +23,11 @@ from jaxest.types import Array, ArrayLike, InputError
 with contextlib.redirect_stdout(io.StringIO()):  # it tells there which other engines it has not found
     from mujoco import mjx
 
-NO_FUSION = {"xla_cpu_use_fusion_emitters": False}
+NO_FUSION = (
+    {"xla_cpu_use_fusion_emitters": False}
+    if jax.__version_info__ < (0, 11)
+    else {"xla_disable_hlo_passes": "fusion,multi_output_fusion"}
+)
 
 
 def jit(fn: Callable[..., Any], **options: Any) -> Any:

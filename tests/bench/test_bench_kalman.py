@@ -6,14 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 
 from jaxest import bench
 from jaxest.bench.kalman import DT, EARTH, MODEL, Noise, beginning, simulated
 from jaxest.bench.kalman_loop import Loop
 from jaxest.filters import kalman, run
 from jaxest.manifolds import quaternion
-
-QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 
 
 @pytest.mark.slow

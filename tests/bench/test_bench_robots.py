@@ -3,12 +3,11 @@
 import jax
 import numpy as np
 import pytest
+from quick_compile import QUICK
 
 from jaxest import bench, kinematics, models
 from jaxest.bench.robots import subject, tips
 from jaxest.bench.rollouts import mujoco_rollout, simulated
-
-QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 
 
 @pytest.mark.slow

@@ -3,9 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
+from quick_compile import QUICK
 
 # Compiles in half the time, differs by roundings from the default.
-LIGHT = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+LIGHT = QUICK
 
 
 class Bounds(NamedTuple):

@@ -6,14 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 from scipy.spatial.transform import Rotation
 
 from jaxest.filters import bingham_linear as bingham
 from jaxest.filters import last, run
 from jaxest.filters._small import eigen4, inverse3, largest
 from jaxest.types import NON_FINITE, Reading
-
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 
 
 def matrix(a, b):

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 
 from jaxest.filters import complementary, complementary_covariance, last, run
 from jaxest.filters.complementary_covariance import Noise, Params, init, with_covariance
@@ -16,7 +17,6 @@ from jaxest.types import Reading
 
 SILENT = Noise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 step = with_covariance()
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}  # to compile
 
 
 def sensed(quaternion, rate, dt, valid):

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 from reference import ref_kalman as reference
 
 from jaxest.filters import kalman, run
@@ -15,7 +16,6 @@ from jaxest.types import NON_FINITE, OK, Reading
 
 N, M, T = 4, 3, 11
 # Compiles five times faster.
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 
 
 class Line(NamedTuple):

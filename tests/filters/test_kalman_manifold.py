@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import kalman_models as body
 import numpy as np
 import pytest
+from quick_compile import QUICK
 from reference import ref_kalman as reference
 from scipy.spatial.transform import Rotation
 
@@ -16,7 +17,6 @@ from jaxest.manifolds import Euclidean, Pose, product, quaternion, se3
 from jaxest.metrics import nees_bounds
 from jaxest.types import NOT_CONVERGED, OK, Reading
 
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 T = 6
 
 

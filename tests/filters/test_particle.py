@@ -21,13 +21,13 @@ from particle_models import (
     start,
     von_mises,
 )
+from quick_compile import QUICK
 
 from jaxest.filters import particle, resampling, run
 from jaxest.filters.particle import _cholesky
 from jaxest.manifolds import Euclidean, Power, circle, product, quaternion
 from jaxest.types import NON_FINITE, OK, WEIGHTS_VANISHED, Reading, status_message
 
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 quick = partial(jax.jit, compiler_options=QUICK)
 PROPOSALS = [BOOTSTRAP, GUIDED, particle.guided(JOINTS, WALK, log_likelihood, GUIDED.rows, defensive=0.3)]
 IDS = ["bootstrap", "guided", "defensive"]

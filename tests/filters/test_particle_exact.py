@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from particle_models import von_mises
+from quick_compile import QUICK
 from reference import ref_circle_filter as reference
 
 from jaxest.filters import kalman, particle, resampling, run
@@ -20,7 +21,6 @@ from jaxest.filters.particle import _gauss_newton as gauss_newton
 from jaxest.manifolds import Euclidean, circle, quaternion
 from jaxest.types import OK, Reading
 
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 SLOW = pytest.mark.slow
 RUNS, COUNT, GRID = 200, 256, 400
 

@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 
 from jaxest.filters import kalman, particle, resampling, run
 from jaxest.manifolds import Euclidean
 from jaxest.types import Reading
 
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 PLANE = Euclidean((2,))
 RUNS, COUNT = 300, 512
 VALUES = np.array([0.3, 0.9, 0.0, 1.6, 1.4, 1.9])

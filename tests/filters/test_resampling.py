@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 
 from jaxest.filters import resampling
 from jaxest.filters.resampling import adaptive, multinomial, residual, stratified, systematic
@@ -14,7 +15,6 @@ SCHEMES = [systematic, stratified, multinomial, residual]
 NAMES = [scheme.__name__ for scheme in SCHEMES]
 DRAWS = 20_000
 # Compiles faster.
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 
 
 @pytest.fixture(params=SCHEMES, ids=NAMES)

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 
 from jaxest.filters import last, rls, run
 from jaxest.types import NON_FINITE, Reading
 
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 X = np.array([0.2, -0.1, 0.05])
 
 

@@ -6,13 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 from scipy.signal import savgol_coeffs
 
 from jaxest.filters import run
 from jaxest.filters import savitzky_golay as sg
 from jaxest.types import OK, InputError, Reading
-
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 
 
 def fit(time, value, at, degree):

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from quick_compile import QUICK
 from robots import PACKAGED, SHARED, distance, source, states
 
 from jaxest import kinematics, models
@@ -15,7 +16,6 @@ from jaxest.kinematics.sequence import sequence
 from jaxest.types import InputError
 
 STATES = 1000
-QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}  # compiles longer than it runs
 
 # Two trees, one of which branches twice on every level: two registers; balls and slides on the way, and springs.
 BUSH = """<mujoco><compiler angle="radian"/>

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 from robots import source, states
 
 from jaxest import kinematics, models
@@ -15,10 +16,6 @@ from jaxest.types import InputError
 ROBOTS = ["arm", "rover", pytest.param("panda.xml", marks=pytest.mark.recorded)]
 
 MATTER = ("body_position", "body_quaternion", "body_mass", "body_com", "joint_axis", "joint_reference", "gravity")
-QUICK = {
-    "xla_backend_optimization_level": 0,
-    "xla_cpu_use_fusion_emitters": False,
-}  # these compile longer than they run
 
 
 def everything(robot, q):

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 from robots import source
 
 from jaxest import kinematics, models
@@ -11,7 +12,6 @@ from jaxest.kinematics import Target
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, InputError
 
 POSES = 1000
-QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}  # compiles longer than it runs
 ARMS = [
     ("ur5e.xml", "right_hand"),
     ("baxter.xml", "left_hand"),

@@ -1,10 +1,11 @@
 """Rotations of every size about axes of every kind, for the tests of this folder."""
 
 import numpy as np
+from quick_compile import QUICK
 
 # Compiles in half the time, differs by roundings from the default. What the bounds in eps are about, exp and log with
 # their derivatives, is compiled as users compile it.
-LIGHT = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+LIGHT = QUICK
 
 AXES = np.array(
     [

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 from scipy import integrate, stats
 from scipy.spatial.transform import Rotation
 from scipy.special import ive
@@ -16,7 +17,6 @@ from jaxest.kinematics.moving import moving_frames
 from jaxest.sensors import KINDS, Sensor
 from jaxest.types import InputError, Reading
 
-QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 FRAMES = ("site:imu2", "site:end_effector")
 MOUNTING = np.array([0.5, -0.5, 0.1, 0.7]) / np.linalg.norm([0.5, -0.5, 0.1, 0.7])
 PARAMS = {

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from deflection_models import CRANE, crane, crane_sensors
+from quick_compile import QUICK
 from scipy.spatial.transform import Rotation
 from scipy.special import ive
 
@@ -19,7 +20,6 @@ from jaxest.simulate import deflection as bending
 from jaxest.systems import deflection
 from jaxest.types import InputError, Reading
 
-QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 PROPOSALS = {"bootstrap": (deflection.bootstrap, 4096), "guided": (deflection.guided, 512)}
 RUNS = 40
 

@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 
 from jaxest.filters import last, run
 from jaxest.manifolds import quaternion as quat
 from jaxest.systems import onsite, onsite_batch
 from jaxest.types import Reading
 
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 NAMES = ("gyroscope_a", "gyroscope_p", "accelerometer_a", "accelerometer_p")
 BEND, SHIFT = 1e-6, 1e-5
 TURN, PLACE = slice(0, 3), slice(3, 6)

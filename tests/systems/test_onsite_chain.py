@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 
 from jaxest import kinematics, models
 from jaxest.filters import run
@@ -17,7 +18,6 @@ from jaxest.systems import onsite_chain
 from jaxest.systems.onsite_recording import Imu
 from jaxest.types import InputError, Reading
 
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 RATE, SHORT = 85, 12.0
 
 

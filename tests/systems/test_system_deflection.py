@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from deflection_models import FEW, SENSORS, arm, build
+from quick_compile import QUICK
 from scipy.special import i0e
 
 from jaxest import kinematics, models
@@ -16,8 +17,6 @@ from jaxest.sensors import Sensor, measurement_type
 from jaxest.simulate import deflection as bending
 from jaxest.systems import deflection
 from jaxest.types import InputError, Reading
-
-QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 
 
 def leaning(time):

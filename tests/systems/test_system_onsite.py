@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 
 from jaxest.filters import last, run
 from jaxest.filters import savitzky_golay as sg
@@ -14,7 +15,6 @@ from jaxest.systems import onsite, onsite_batch
 from jaxest.systems.onsite_simulation import pair
 from jaxest.types import InputError
 
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 HARD = {"gyroscope": 0.03, "accelerometer": 0.1}
 
 

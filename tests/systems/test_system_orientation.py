@@ -5,6 +5,7 @@ from functools import partial
 import jax
 import numpy as np
 import pytest
+from quick_compile import QUICK
 
 from jaxest.filters import complementary, every, run
 from jaxest.filters.complementary_covariance import Noise
@@ -123,7 +124,6 @@ def test_simulated_noise_has_the_density_that_is_asked_for():
     """The mean over a time T has the variance density^2 / T, for white and for coloured noise."""
     system, steps, rate = orientation.build(sensors=SIX), 2000, 100.0
     noise = Noise(accelerometer=0.01, gyroscope=0.001, bias_walk=0.0, initial_bias=0.0)
-    quick = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}  # to compile
     draw = partial(system.simulate, system.default_params, steps=steps, rate_hz=rate, speed=0.0, noise=noise)
 
     def means(colour, key):
@@ -131,7 +131,7 @@ def test_simulated_noise_has_the_density_that_is_asked_for():
         force = jax.vmap(quat.rotate)(truth.quaternion, m.accelerometer.value)
         return force.mean(axis=0) / 9.81, m.gyroscope.value.mean(axis=0)
 
-    many = jax.jit(jax.vmap(jax.vmap(means, (None, 0)), (0, None)), compiler_options=quick)
+    many = jax.jit(jax.vmap(jax.vmap(means, (None, 0)), (0, None)), compiler_options=QUICK)
     colours, seconds = np.float32([0.0, 0.5]), steps / rate
     force, rates = many(colours, jax.random.split(jax.random.key(0), 400))
     variance = np.mean((np.asarray(force) - np.array([0, 0, 1])) ** 2, axis=(1, 2))

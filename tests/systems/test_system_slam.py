@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 from slam_models import build, errors, robot, sensors
 
 from jaxest.filters import run
@@ -17,7 +18,6 @@ from jaxest.systems import slam, slam_chain
 from jaxest.systems._slam_rows import Points, Pose, match, moved, point_slope, sums, world
 from jaxest.types import NON_FINITE, OK, InputError, Reading
 
-QUICK = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 STEPS = 25
 SENSED = [0, 1, 2, 4]  # bodies with sensors; the tool on the slide has none
 KNOWN = [0, 1, 3]  # joints whose bias the sensors tell

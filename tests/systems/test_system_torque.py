@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from quick_compile import QUICK
 
 from jaxest import kinematics, models
 from jaxest.filters import run
@@ -17,7 +18,6 @@ PENDULUM = """<mujoco><worldbody><body name="link"><joint axis="0 1 0"/><geom ty
 size=".02" mass="1"/></body></worldbody></mujoco>"""
 BARE = """<robot name="bare"><link name="a"/><link name="b"/><joint name="j" type="continuous"><parent link="a"/>
 <child link="b"/><axis xyz="0 1 0"/></joint></robot>"""
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 from scipy.spatial.transform import Rotation
 from tuning_models import FILTER, KALMAN, LINE, MODEL, NOISE, Params, begin, drawn, log_likelihood, particles
 
@@ -14,7 +15,6 @@ from jaxest.systems import orientation
 from jaxest.tuning import errors
 from jaxest.types import System
 
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 BATCH = tuning.padded([drawn(seed, steps=12 + seed) for seed in range(3)])
 
 

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import QUICK
 from scipy.spatial.transform import Rotation
 
 from jaxest.tuning import transforms as tr
 
-QUICK = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 0}
 RNG = np.random.default_rng(3)
 QUATERNION = np.roll(Rotation.from_rotvec([0.3, -1.2, 0.7]).as_quat(), 1)
 MATRIX = Rotation.from_rotvec([2.0, 0.4, -0.6]).as_matrix()
