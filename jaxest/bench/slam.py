@@ -1,6 +1,6 @@
 """A whole-body step beside SciPy's neighbour search for the same points, and small_gicp's alignment of each link."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
@@ -40,8 +40,8 @@ def rows(*, peers: bool, progress: Progress, small: bool = False) -> Iterable[Ro
         yield from _case(links, points, peers, small)
 
 
-def _case(links: int, points: int, peers: bool, small: bool) -> Iterable[Row]:
-    zones = 2 if small else 8
+def problem(links: int, points: int, zones: int = 8) -> tuple[Any, slam.Fixed]:
+    """Return the system of a structure that moves in a room, and what it measures, leaves (WARM + 2, ...)."""
     robot, sensors = kinematics.load(rooms.structure(links)), rooms.sensors(links, rows=zones, columns=zones)
     model = proximity.compiled(rooms.scene(links, rooms.room(0)))
     time, q = proximity.inside(model, 0, duration=0.1 * (WARM + 2))
@@ -51,7 +51,24 @@ def _case(links: int, points: int, peers: bool, small: bool) -> Iterable[Row]:
     joints = jnp.asarray(proximity.encoders(q, faults, 0), jnp.float32)
     given = slam.Fixed(Reading(ranges, there), Reading(joints, jnp.ones(joints.shape, bool)),
                        jnp.full(len(joints), 0.1, jnp.float32))  # fmt: skip
-    system = slam.build(robot, sensors, points=points)
+    return slam.build(robot, sensors, points=points), given
+
+
+def live(step: Any, params: Any, state: Any, measurement: Any) -> Callable[[], Any]:
+    """Return a call that goes on from where the last one ended, and gives its state away."""
+    held = {"state": state}
+
+    def go() -> Any:
+        held["state"], info = step(params, held["state"], measurement)
+        return info
+
+    return go
+
+
+def _case(links: int, points: int, peers: bool, small: bool) -> Iterable[Row]:
+    zones = 2 if small else 8
+    robot, sensors = kinematics.load(rooms.structure(links)), rooms.sensors(links, rows=zones, columns=zones)
+    system, given = problem(links, points, zones)
     params = jax.tree.map(jnp.float32, system.default_params)
     measurement = jax.tree.map(lambda x: x[-1], given)
     # The state is given away at each call, as a live loop gives it away: its map is changed in place.
@@ -60,13 +77,7 @@ def _case(links: int, points: int, peers: bool, small: bool) -> Iterable[Row]:
     name = f"{links} links, {points} points"
     one = candidate(name, step, params, empty, measurement)
     state, _ = run(system.step, params, empty, jax.tree.map(lambda x: x[:WARM], given), history=last)
-    held = {"state": jax.tree.map(jnp.copy, state)}
-
-    def live() -> Any:
-        held["state"], info = step(params, held["state"], measurement)
-        return info
-
-    candidates = [one._replace(call=live)]
+    candidates = [one._replace(call=live(step, params, jax.tree.map(jnp.copy, state), measurement))]
     clouds = _clouds(state, measurement, sensors, robot, points)
     chart = np.asarray(state.chart.point)[: int(state.chart.used)]
     tree = find_peer("scipy.spatial") if peers else None

@@ -103,18 +103,28 @@ def peak(size: int = 1024, megabytes: int = 64, repeats: int = 5) -> Peak:
     """Measure the machine, the best of a few runs: nothing runs faster than its fastest.
 
     Args:
-        size: side of the matrices.
-        megabytes: of the array that is copied; more than the caches hold.
+        size: side of the matrices to begin with; doubled while a product takes less than 5 ms, which on an accelerator
+            is its start more than its work.
+        megabytes: of the array that is copied, more than the caches hold; doubled in the same way.
         repeats: runs.
 
     Returns:
         The peak, in a second or two.
     """
-    a = jnp.ones((size, size), jnp.float32)
-    product = jax.jit(lambda a: a @ a)
-    x = jnp.ones(megabytes * 250_000, jnp.float32)
+    product = jax.jit(lambda a: jnp.matmul(a, a, precision="highest"))  # an accelerator else shortens its inputs
+    side, multiplied = _grown(product, lambda n: jnp.ones((n, n), jnp.float32), size, 16384, repeats)
     copy = jax.jit(lambda x: x + 1)
-    return Peak(2.0 * size**3 / _best(product, a, repeats), 2.0 * x.nbytes / _best(copy, x, repeats))
+    length, moved = _grown(copy, lambda n: jnp.ones(n * 250_000, jnp.float32), megabytes, 8192, repeats)
+    return Peak(2.0 * side**3 / multiplied, 2e6 * length / moved)
+
+
+def _grown(fn: Any, build: Callable[[int], Any], size: int, most: int, repeats: int) -> tuple[int, float]:
+    """The size at which a call takes long enough to be measured, and how long, s."""
+    seconds = _best(fn, build(size), repeats)
+    while seconds < 5e-3 and size < most:
+        size *= 2
+        seconds = _best(fn, build(size), repeats)
+    return size, seconds
 
 
 def _best(fn: Callable[[Any], Any], x: Any, repeats: int) -> float:
