@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from quick_compile import QUICK
-from scipy.signal import savgol_coeffs
+from scipy.signal import savgol_coeffs, savgol_filter
 
 from jaxest.filters import run
 from jaxest.filters import savitzky_golay as sg
@@ -68,6 +68,45 @@ def test_any_stamps_and_any_query(half_width, degree, dtype):
         np.testing.assert_allclose(got.derivative[i], expected[1], atol=steep)
         used += 1
     assert used > 35
+
+
+@pytest.mark.parametrize("length", [15, 33, 1024])
+def test_an_even_recording_is_a_correlation(length, dtype):
+    """The quick way for even stamps gives SciPy's numbers to the ends, and those of the fits of each window."""
+    time, value = 1e4 + np.arange(length) / 200, np.cumsum(np.random.default_rng(2).normal(size=(length, 2)), axis=0)
+    value = value.astype(dtype)
+    got = sg.smooth(time, value)
+    assert got.value.dtype == dtype
+    assert np.all(got.valid)
+    eps = float(np.finfo(dtype).eps) * np.abs(value).max()
+    expected = savgol_filter(value.astype(float), 15, 3, axis=0)
+    np.testing.assert_allclose(got.value, expected, rtol=0, atol=40 * eps)
+    slope = savgol_filter(value.astype(float), 15, 3, deriv=1, delta=1 / 200, axis=0)
+    # Stamps of 1e4 s are known to 2e-12 s, 4e-10 of a step.
+    np.testing.assert_allclose(got.derivative, slope, rtol=0, atol=4000 * eps + 1e-9 * np.abs(slope).max())
+    one_by_one = sg.smooth(time, value, query=time)
+    for a, b in zip(got, one_by_one, strict=True):
+        scale = np.abs(np.asarray(b, float)).max()
+        np.testing.assert_allclose(a, b, rtol=0, atol=(1e-9 if dtype == "float64" else 3e-5) * scale)
+
+
+def test_an_even_recording_has_gradients_and_spreads_what_is_not_finite(x64):
+    time, value = np.arange(40) / 100, np.random.default_rng(3).normal(size=(40, 1))
+    last = jax.grad(lambda value: sg.smooth(time, value, half_width=3, degree=2).value[-1, 0])(jnp.asarray(value))
+    np.testing.assert_allclose(last[-7:, 0], savgol_coeffs(7, 2, pos=6, use="dot"), atol=1e-12)
+    assert not np.any(last[:-7])
+    broken = np.where(np.arange(40)[:, None] == 20, np.nan, value)
+    lost = np.isnan(sg.smooth(time, broken, half_width=3, degree=2).value[:, 0])
+    assert np.flatnonzero(lost).tolist() == list(range(17, 24))
+
+
+def test_stamps_that_are_nearly_even_are_taken_as_they_are(x64):
+    """A step of a thousandth of the spacing beside its place changes a derivative; the fit of each window sees it."""
+    time, value = np.arange(60) / 100, np.arange(60.0)[:, None] ** 2
+    time[30] += 1e-5
+    got = sg.smooth(time, value, half_width=3, degree=3)
+    expected = fit(time[27:34], value[27:34], time[30], 3)
+    np.testing.assert_allclose(got.derivative[30], expected[1], rtol=1e-9)
 
 
 def test_streaming_is_the_batch(dtype):
