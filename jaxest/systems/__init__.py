@@ -6,9 +6,9 @@ are all that is needed; `jaxest.filters.run` drives the step.
 * `orientation`: one IMU. `posture`: a robot's joints from IMUs on its links; `posture_pairs` as the paper has it.
 * `deflection`: the posture of a robot that bends; `direct_fusion` is its baseline by hand.
 * `onsite`: the pose of one IMU relative to another on the same link, live; `onsite_batch` for a whole recording,
-  `onsite_chain` for a robot of modules and sticks.
+  `onsite_chain` for a robot of modules and sticks, `onsite_drift` for tuning what it forgets.
 * `slam`: where links are, and the room about them; `slam_chain` as the paper has it.
-* `torque`: unknown joint torques; their posterior by `torque_sampler`.
+* `torque`: unknown joint torques; their posterior by `torque_sampler`; `torque_evidence` for tuning noise.
 
 Each loads on first use. Not here: the filters themselves (`jaxest.filters`), logs and commands.
 """
@@ -22,12 +22,14 @@ __all__ = [
     "onsite",
     "onsite_batch",
     "onsite_chain",
+    "onsite_drift",
     "orientation",
     "posture",
     "posture_pairs",
     "slam",
     "slam_chain",
     "torque",
+    "torque_evidence",
     "torque_sampler",
 ]
 

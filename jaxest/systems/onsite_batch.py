@@ -134,7 +134,7 @@ def solve(measurements: Pair, prior: Prior | None = None, *, half_width: int = 7
 @partial(jax.jit, static_argnames=("reach", "degree"))
 def _solve(measurements: Pair, prior: Prior | None, half_width: Array, *, reach: int, degree: int) -> Estimate:
     """Solve with a window of N traced, at most `reach`: one program for all of them."""
-    windows = _windows(measurements, half_width, reach, degree)
+    windows = averages(measurements, half_width, reach, degree)
     dtype = windows.gain.dtype
     settings = Prior() if prior is None else prior
     gyro, acc, *axes = (jnp.asarray(x, dtype) for x in settings)
@@ -160,7 +160,7 @@ def _solve(measurements: Pair, prior: Prior | None, half_width: Array, *, reach:
     return _read(state, h, scores, known, bent, weights, ready, block, degree)
 
 
-def _windows(measurements: Pair, half_width: Array, reach: int, degree: int) -> win.Window:
+def averages(measurements: Pair, half_width: Array, reach: int, degree: int) -> win.Window:
     """Averages of the window about every sample, (T, ...); those that reach beyond an end are not ready."""
     dt = jnp.asarray(measurements.dt)
     readings = [getattr(measurements, f"{kind}_{side}") for side in "ap" for kind in ("gyroscope", "accelerometer")]
@@ -225,4 +225,4 @@ def _read(
     )  # fmt: skip
 
 
-__all__ = ["TIMES", "Choice", "Estimate", "Prior", "choose", "half_widths", "solve"]
+__all__ = ["TIMES", "Choice", "Estimate", "Prior", "averages", "choose", "half_widths", "solve"]

@@ -18,6 +18,7 @@ from jaxest.tuning.descent import Method, adam, lbfgs
 from jaxest.tuning.objectives import (
     Objective,
     consistency,
+    density,
     each,
     kalman_system,
     likelihood,
@@ -46,6 +47,7 @@ __all__ = [
     "begin",
     "consistency",
     "curvature",
+    "density",
     "descent",
     "disperse",
     "each",

@@ -1,8 +1,9 @@
 """What is to be small: functions of parameters and one recording, under one contract.
 
 `supervised` compares with a truth, `likelihood` needs none (Kalman filters, and particle filters, whose gradient is the
-score), `smoothed` is Laplace's approximation of it along a smoothed path, `consistency` asks the innovations to be as
-large as the filter says. `total` is the mean over a batch.
+score), `smoothed` is Laplace's approximation of it along a smoothed path, `density` any function that gives a log-
+density of a recording, `consistency` asks the innovations to be as large as the filter says. `total` is the mean over a
+batch.
 """
 
 from collections.abc import Callable
@@ -108,6 +109,18 @@ def _likelihood(system: System, params: PyTree, one: Recording, key: Array | Non
     return -jnp.sum(jnp.where(jnp.asarray(one.counts), terms, 0))
 
 
+def density(log_density: Callable[[PyTree, PyTree], Array]) -> Objective:
+    """Take minus a log-density that one function gives of a whole recording.
+
+    Args:
+        log_density: `(params, measurements) -> ()`; steps that are padded say nothing in it.
+
+    Returns:
+        The objective.
+    """
+    return Objective(lambda params, one, key: -log_density(params, one.measurements), likelihood=True)
+
+
 def kalman_system(model: kalman.Model, init: Callable[[PyTree], kalman.State]) -> System:
     """Bundle a Kalman filter's model and its start.
 
@@ -192,6 +205,7 @@ def per_recording(
     objective: Objective, function: Callable[[Recording, Array | None], PyTree], batch: Recording, key: Array | None
 ) -> PyTree:
     """Return a function of `(recording, key)` for every recording of a batch, each with a key of its own if drawn."""
+    batch = jax.tree.map(jnp.asarray, batch)  # a closure's arrays of NumPy are constants that no root finder takes
     if not objective.random:
         return jax.vmap(lambda one: function(one, None))(batch)
     if key is None:
@@ -202,6 +216,7 @@ def per_recording(
 __all__ = [
     "Objective",
     "consistency",
+    "density",
     "each",
     "kalman_system",
     "likelihood",

@@ -44,8 +44,8 @@ class Estimate(NamedTuple):
     sd: float
     """Standard error, infinite where unidentified."""
     rise: float
-    """What a change by 10 % of the value (or by 0.1, where it may have either sign) adds to the mean loss, all other
-    parameters as they are."""
+    """What a change by 0.1 of the free number behind it adds to the mean loss, all other parameters as they are: by 10
+    % of a positive value, of what is between a share and its end, by 0.1 of a number that may have either sign."""
     identified: bool
 
 
@@ -142,9 +142,8 @@ def estimates(problem: Problem, z: Array, found: Curvature) -> list[Estimate]:
         sure = bool(known[moving].all())
         sd = float(np.sqrt(max(slope[i] @ inside @ slope[i], 0.0))) if sure else np.inf
         tight = sure and bool((np.sqrt(np.diag(inside)[moving]) < LOOSE).all())
-        step = 0.1 * (abs(values[i]) if start[i] * values[i] > 0 else 1.0)
-        norm = float(slope[i] @ slope[i])
-        moved = slope[i] * (step / norm) if norm > 0 else 0 * slope[i]
+        norm = float(np.sqrt(slope[i] @ slope[i]))
+        moved = slope[i] * (0.1 / norm) if norm > 0 else 0 * slope[i]
         rise = float(found.gradient @ moved + moved @ found.hessian @ moved / 2)
         rows.append(Estimate(name, float(start[i]), float(values[i]), sd, rise, tight))
     return rows
