@@ -1,11 +1,14 @@
 """`jaxest tune`: from logs to the config under which a method does best on them."""
 
 import importlib.util
+import math
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from jaxest.cli.devices import Devices, Join
@@ -30,6 +33,8 @@ EXAMPLES = (
     "jaxest tune trial.npz -m orientation -c start.toml --free proportional_gain,integral_gain --starts 8",
     "jaxest tune a.npz b.npz c.npz -m orientation --starts 8 --devices 2",
     "jaxest tune a.npz b.npz -m deflection --robot arm.urdf -c sensors.toml --free walk,sensors.encoders.concentration",
+    "jaxest tune swing.npz -m torque --robot arm.xml",
+    "jaxest tune shaken.npz -m onsite --objective consistency --free force_noise",
 )
 DRAWN = 4, 4  # windows and keys for standard errors of a likelihood that is drawn; all data would take half an hour
 SHOWN = 12  # parameters that a picture has room for
@@ -38,7 +43,7 @@ SHOWN = 12  # parameters that a picture has room for
 @command
 def run(
     logs: Annotated[list[Path], typer.Argument(help="Logs to tune on.")],
-    method: Annotated[str, typer.Option("--method", "-m", help="What to tune: orientation, deflection.")],
+    method: Annotated[str, typer.Option("--method", "-m", help="orientation, deflection, onsite or torque.")],
     robot: Annotated[
         Path | None, typer.Option("--robot", "-r", help="Robot (MJCF, URDF), where one is needed.")
     ] = None,
@@ -91,24 +96,28 @@ def run(
     if held_out >= len(given.recordings):
         raise bad_input(f"--held-out {held_out}: got {len(logs)} logs, expected at least one to tune on")
     begun = time.perf_counter()
-    with working("tuning ...") as say:
-        found, rows = _search(given, starts, spread, held_out, evaluations, seed, checkpoint, say)
-    if jax.process_index():
-        return Answer(status=DONE)  # the first process writes and prints
-    tables = {**({"columns": chosen.columns} if chosen.columns else {}), "nan": chosen.nan, **chosen.tables}
-    write_config(out, {**tables, method: given.settings(found.params)}, overwrite=force)
-    if draws:
-        _draw(picture, given, found, held_out > 0, f"{method}: {given.label}")
-    shown = _rows(given, found, rows, held_out, time.perf_counter() - begun)
+    with jax.enable_x64(True) if given.dtype == np.float64 else nullcontext():
+        with working("tuning ...") as say:
+            found, rows = _search(given, starts, spread, held_out, evaluations, seed, checkpoint, say)
+        if jax.process_index():
+            return Answer(status=DONE)  # the first process writes and prints
+        tables = {**({"columns": chosen.columns} if chosen.columns else {}), "nan": chosen.nan, **chosen.tables}
+        write_config(out, {**tables, method: given.settings(found.params)}, overwrite=force)
+        kept = _distinct(given.space, rows)
+        if draws:
+            _draw(picture, given, found, held_out > 0, f"{method}: {given.label}", list(kept)[:SHOWN])
+    rows = list(kept.values())
+    shown = _rows(given, found, held_out, time.perf_counter() - begun)
     loose = [row.name for row in rows if not row.identified]
     if loose:
         warn(f"these logs hardly tell {', '.join(loose)}: standard errors of a factor e or more")
     if json:
-        return Answer(json_object(report(NAME, shown), unidentified=loose))
+        return Answer(json_object(report(NAME, [*shown, *_parameters(given, rows)]), unidentified=loose))
     from jaxest.cli.tables import figures
 
     page = console()
     page.print(figures(shown, f"{method}: {given.label}, {len(given.recordings)} log(s), stopped: {found.stopped}"))
+    page.print(_table(given, rows))
     page.print(f"wrote {out}" + (f", {picture}" if draws else ""), soft_wrap=True)
     return Answer(status=DONE)
 
@@ -202,9 +211,19 @@ def _scaled(line: str, given: Any) -> str:
     return f"{words} {float(value) * given.scale:.5g} {given.unit}"
 
 
-def _rows(given: Any, found: Any, estimates: list[Any], held_out: int, took: float) -> list[Any]:
-    import numpy as np
+def _distinct(space: Any, estimates: list[Any]) -> dict[int, Any]:
+    """Entries that move, one of those that are equal, by where they stand among all; named as `--free` names them."""
+    kept, at = {}, 0
+    for one in space.free:
+        size = math.prod(one.shape)
+        tied = one.bijection.size == 1 and len({row.value for row in estimates[at : at + size]}) == 1
+        rows = {at: estimates[at]._replace(name=one.name)} if tied else dict(enumerate(estimates[at : at + size], at))
+        kept |= {i: row for i, row in rows.items() if row.sd > 0 or row.value != 0}  # a concentration that stays 0
+        at += size
+    return kept
 
+
+def _rows(given: Any, found: Any, held_out: int, took: float) -> list[Any]:
     from jaxest.io.report import Row
 
     trace, best = found.trace, int(np.argmin(np.where(np.isfinite(found.values), found.values, np.inf)))
@@ -219,18 +238,42 @@ def _rows(given: Any, found: Any, estimates: list[Any], held_out: int, took: flo
                             reference=float(trace.held_out[0, 0] * given.scale), reference_name="start"))  # fmt: skip
         spread = float(np.ptp(found.values[np.isfinite(found.values)])) * given.scale
         rows.append(Row("best of each start", "largest less smallest", spread, given.unit, n=len(found.values)))
+    rows.append(Row("evaluations", f"stopped: {found.stopped}", float(int(found.search.index)), "1"))
+    return [*rows, Row("run time", "compilation included", took, "s")]
+
+
+def _parameters(given: Any, estimates: list[Any]) -> list[Any]:
+    from jaxest.io.report import Row
+
+    rows = []
     for row in estimates:
         known = "" if row.identified else ", not identified"
         rows.append(Row(row.name, f"free{known}", row.value, "1", spread=row.sd if np.isfinite(row.sd) else None,
                         reference=row.start, reference_name="start"))  # fmt: skip
         rows.append(Row(row.name, "rise of the objective by 10 %", row.rise * given.scale, given.unit))
-    rows.append(Row("evaluations", f"stopped: {found.stopped}", float(int(found.search.index)), "1"))
-    return [*rows, Row("run time", "compilation included", took, "s")]
+    return rows
 
 
-def _draw(path: Path, given: Any, found: Any, judged: bool, title: str) -> None:
+def _table(given: Any, estimates: list[Any]) -> Any:
+    """Parameters for people: what was found, how well it is known, what it matters."""
+    from jaxest.cli.tables import grid, number
+
+    unit = "" if given.unit == "1" else f", {given.unit}"
+    head = ("parameter", "start", "tuned", "standard error", f"10 % more adds{unit}", "")
+
+    def written(value: float) -> str:
+        return number(value, 6 if 0.9 < value < 1 else 3)  # what is forgotten stands behind the nines
+
+    lines = [
+        (row.name, written(row.start), written(row.value), number(row.sd) if np.isfinite(row.sd) else "-",
+         number(row.rise * given.scale, 2), "" if row.identified else "not identified")
+        for row in estimates
+    ]  # fmt: skip
+    return grid(head, lines, right=(1, 2, 3, 4))
+
+
+def _draw(path: Path, given: Any, found: Any, judged: bool, title: str, shown: list[int]) -> None:
     import jax
-    import numpy as np
 
     from jaxest.viz import tuning
 
@@ -243,6 +286,6 @@ def _draw(path: Path, given: Any, found: Any, judged: bool, title: str) -> None:
         for series in (values, held, points):
             series[i, ~taken] = series[i - 1, ~taken] if i else np.nan
     best = int(np.argmin(np.where(np.isfinite(found.values), found.values, np.inf)))
-    kept = slice(0, SHOWN)
-    tuning.draw(path, values, points[..., kept], names=given.space.names[kept], best=best,
-                held_out=held if judged else None, label=given.unit, title=title)  # fmt: skip
+    tuning.draw(path, values, points[..., shown], names=[given.space.names[i] for i in shown], best=best,
+                held_out=held if judged else None,
+                label="objective" if given.unit == "1" else given.unit, title=title)  # fmt: skip

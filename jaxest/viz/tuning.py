@@ -38,6 +38,10 @@ def draw(
     rows = 1 + len(names)
     figure = canvas.sheet((9, 1.6 + 1.7 * rows), title)
     axes = np.atleast_1d(figure.subplots(rows, 1, sharex=True, height_ratios=[1.8] + [1] * len(names)))
+    if (values <= 0).any():  # a log-likelihood: what counts is how far above the lowest, over many powers of ten
+        values = values - np.nanmin(values)
+        values, label = np.where(values > 0, values, np.nan), f"{label}, above the lowest"
+        held_out = None
     count = np.arange(1, len(values) + 1)
     order = [start for start in range(values.shape[1]) if start != best] + [best]
     for start in order:

@@ -1,6 +1,7 @@
 """`jaxest estimate --method onsite`: two IMUs on a link, a robot of modules, and what may be wrong with configs."""
 
 import json
+import tomllib
 
 import jax
 import numpy as np
@@ -69,6 +70,23 @@ def test_two_imus(invoke, rod, tmp_path):
     assert found["pose_covariance"].value.shape == (1, 6, 6)
     np.testing.assert_allclose(found["live/position"].value[-1], truth.position, atol=3e-3)
     assert np.isnan(found["live/position"].value[0]).all()
+
+
+def test_forgetting_is_tuned_and_said_to_be_unknown_of_a_rigid_link(invoke, rod, tmp_path):
+    write(streams(rod[0]), tmp_path / "log.npz")
+    result = invoke("tune", "log.npz", "-m", "onsite", "--starts", 1, "-o", "tuned.toml", "--json")
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.stdout)
+    assert report["unidentified"] == ["forgetting_rotation", "forgetting_position"]
+    rows = {row["metric"]: row for row in report["rows"] if row["condition"].startswith("free")}
+    for name, drawn in (("gyroscope_noise", 0.01), ("force_noise", 0.071)):
+        # The force's noise has a little of the derivatives' in it.
+        assert abs(rows[name]["value"] - drawn) < 3 * rows[name]["spread"] + 0.05 * drawn
+    tuned = tomllib.loads((tmp_path / "tuned.toml").read_text())["onsite"]
+    assert set(tuned) == {"window", *rows}
+    (tmp_path / "tuned.toml").write_text("[onsite]\nforgetting_position = 1.2\n")
+    assert "forgetting_position: got 1.2" in invoke("estimate", "log.npz", "-m", "onsite", "-c", "tuned.toml",
+                                                    "-o", "out").stderr  # fmt: skip
 
 
 def test_which_two_of_three(refused, rod, tmp_path):

@@ -70,6 +70,20 @@ def test_a_constant_torque_in_pieces(invoke, ready, tmp_path):
         np.testing.assert_array_equal(other.streams[name].value, item.value)
 
 
+@pytest.mark.slow
+def test_noise_is_tuned_and_its_config_can_be_used(invoke, ready, tmp_path):
+    write(log(200), tmp_path / "long.npz")
+    words = ("long.npz", "-m", "torque", "--robot", "arm.xml", "-c", "c.toml")
+    result = invoke("tune", *words, "-o", "tuned.toml", "--json")
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.stdout)
+    assert report["unidentified"] == ["velocity_noise"]
+    rows = {row["metric"]: row for row in report["rows"] if row["condition"].startswith("free")}
+    for name in ("position_noise", "sensor_noise"):
+        assert abs(rows[name]["value"] - 2e-7**0.5) < 3 * rows[name]["spread"] < 2e-4
+    assert invoke("estimate", *words[:-1], "tuned.toml", "-o", "out").exit_code in (0, 3)
+
+
 @pytest.mark.parametrize(
     ("line", "message"),
     [
@@ -77,6 +91,7 @@ def test_a_constant_torque_in_pieces(invoke, ready, tmp_path):
         ('sampler = "gibs"', "[torque] sampler 'gibs' does not exist; did you mean 'gibbs'"),
         ("iterations = 3", "[torque] iterations: got 3, expected at least 8"),
         ("low = 5.0\nhigh = 2.0", "[torque] low: 5.0 is not below high: 2.0"),
+        ("sensor_noise = [1e-3, 1e-3]", "[torque] sensor_noise: got [0.001, 0.001], expected a number, or 1 of them"),
         ("sensor_noise = 0.0", "[torque] sensor_noise: got 0.0, expected a standard deviation above 0"),
         ('angles = "joint"', "'joint' does not exist"),
         ('feedforward = "moter"', "did you mean 'motor'"),

@@ -17,6 +17,7 @@ from jaxest.types import InputError
 
 KINDS = ("gyroscope", "accelerometer")
 AXES = ("gyroscope_axes", "accelerometer_axes")
+TUNED = ("gyroscope_noise", "forgetting_rotation", "forgetting_position")
 KEPT = ("position", "orientation", "pose_covariance")
 ROBOTS = ("robot.xml", "robot.urdf")
 
@@ -96,7 +97,20 @@ def _names(log: SensorLog, settings: Mapping[str, Any]) -> tuple[str, str]:
     return first, second
 
 
-def _pair(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
+def recorded(log: SensorLog, settings: Mapping[str, Any], nan: str) -> tuple[tuple[str, str], Any, Any]:
+    """Solve for the pose of one IMU in another from all of a log.
+
+    Args:
+        log: the log, in SI units.
+        settings: the config's table `[onsite]`.
+        nan: `error`, or `missing`.
+
+    Returns:
+        The IMUs' names, the `onsite_batch.Prior` that config and calibrations give, and an `onsite_recording.Found`.
+
+    Raises:
+        InputError: as `estimate`.
+    """
     from jaxest.systems import onsite_batch, onsite_recording
 
     names, known = _names(log, settings), _calibrations(settings)
@@ -106,10 +120,15 @@ def _pair(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
         usual = usual._replace(accelerometer_bias=_mean(known[n].accelerometer_bias_deviation for n in names))
     prior = onsite_batch.Prior(*(_positive(settings, key, getattr(usual, key)) for key in usual._fields[:2]),
                                *_axes(settings, names, known, _mean))  # fmt: skip
-    found = onsite_recording.estimate(a, p, prior=prior, names=names, align_clocks=settings.get("clocks", True))
+    align = settings.get("clocks", True)
+    return names, prior, onsite_recording.estimate(a, p, prior=prior, names=names, align_clocks=align)
+
+
+def _pair(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
+    names, prior, found = recorded(log, settings, nan)
     one = found.estimate
     position, turn, covariance = (np.asarray(x, np.float64) for x in one[:3])
-    live = _live(found, prior)
+    live = _live(found, prior, settings)
     extra = {"of": names[1], "tangent": "rotation in the second IMU, then position in the first: rad, m"}
     streams = _streams("", found.time[-1:], position[None], turn[None], covariance[None], names[0], extra)
     streams |= _streams("live/", found.time, live[0], live[1], live[2], names[0], extra)
@@ -166,7 +185,7 @@ def _mean(deviations: Iterable[float]) -> float:
     return float(np.sqrt(np.mean(np.square(list(deviations)))))
 
 
-def _live(found: Any, prior: Any) -> Any:
+def _live(found: Any, prior: Any, settings: Mapping[str, Any]) -> Any:
     """Position (T, 3), quaternion (T, 4) and covariance (T, 6, 6) as known at each sample; NaN while they are not."""
     import jax
 
@@ -174,9 +193,13 @@ def _live(found: Any, prior: Any) -> Any:
     from jaxest.systems import onsite
 
     step = float(np.median(np.diff(found.time)))
-    system = onsite.build(half_width=max(2, round(0.07 / step)))
+    system = onsite.build(half_width=max(2, round(_positive(settings, "window", 0.07) / step)))
     single = jax.tree.map(lambda x: x.astype(np.float32) if x.dtype.kind == "f" else x, found.measurements)
     off = {key: getattr(prior, key) for key in (*AXES, "accelerometer_bias")}
+    off |= {key: _positive(settings, key, getattr(system.default_params, key)) for key in TUNED if key in settings}
+    for key in TUNED[1:]:
+        if off.get(key, 1) > 1:
+            raise InputError(f"[onsite] {key}: got {off[key]}, expected a number above 0, to 1")
     params = jax.tree.map(np.float32, system.default_params._replace(**off))
 
     def kept(state: Any, info: Any) -> Any:
@@ -301,4 +324,4 @@ def _open(names: list[str], final: Any, limits: Mapping[str, float], axes: float
     )
 
 
-__all__ = ["estimate", "files", "schema"]
+__all__ = ["TUNED", "estimate", "files", "recorded", "schema"]

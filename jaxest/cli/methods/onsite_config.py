@@ -9,6 +9,11 @@ gyroscope_axes = 0.01                 # what axes may be off in scale and direct
 accelerometer_axes = 0.01             # or 1 %
 gyroscope_bias = 0.3                  # rad/s, standard deviation of either gyro's bias, and m/s2 of an accelerometer's;
 accelerometer_bias = 0.3              # without it usual ones, or the calibration's
+window = 0.07                         # s, half of the live estimate's; with what follows `jaxest tune` finds it
+gyroscope_noise = 0.01                # rad/s a sample
+forgetting_rotation = 1.0             # what a live estimate keeps at each sample; below 1 for links that move
+forgetting_position = 1.0
+force_noise = 0.1                     # m/s2 a sample, for `jaxest tune` alone
 clocks = true                         # look for an offset between the IMUs' clocks and take it off
 position = [-0.2, 0, 0]               # m, the truth, if it is known: its error is printed
 quaternion = [1, 0, 0, 0]             # likewise
@@ -70,7 +75,8 @@ def schema() -> dict[str, Any]:
     module = {"axis": list, "limits": list, "place": PLACE, "before": MOUNTING, "after": MOUNTING}
     words = dict.fromkeys(("first", "second", "calibration"), str)
     names = ("gyroscope_bias", "accelerometer_bias", "gyroscope_axes", "accelerometer_axes")
-    numbers = dict.fromkeys((*names, "position_limit", "rotation_limit_deg"), float)
+    live = ("window", "gyroscope_noise", "forgetting_rotation", "forgetting_position", "force_noise")
+    numbers = dict.fromkeys((*names, *live, "position_limit", "rotation_limit_deg"), float)
     return {**words, **numbers, **PLACE, "clocks": bool, "modules": {"*": module}, "tool": PLACE}
 
 

@@ -25,7 +25,17 @@ CHAINS = 4
 PIECE = 100  # iterations between two checkpoints
 LEAST = 8  # iterations whose chains can still be split
 NOISES = {"sensor_noise": None, "position_noise": 1e-5, "velocity_noise": 1e-2, "torque_noise": 0.1}
-"""Standard deviations a step that the priors are centred on; the sensor's is read off the angles."""
+"""Standard deviations a step that the priors are centred on, of all joints or one for each; the sensor's is read off
+the angles."""
+
+
+class Problem(NamedTuple):
+    """What is sought, from what."""
+
+    model: Any
+    """Of `systems.torque_model`."""
+    prior: Any
+    data: Any
 
 
 class Drawn(NamedTuple):
@@ -49,7 +59,7 @@ def schema() -> Mapping[str, Any]:
     return {
         "angles": str, "feedforward": str, "compare": str, "torque": str, "sampler": str, "segments": int, "every": int,
         "iterations": int, "seed": int, "passive": bool, "rest": bool, "low": number, "high": number,
-        **dict.fromkeys(NOISES, number),
+        **dict.fromkeys(NOISES, (*number, list)),
     }  # fmt: skip
 
 
@@ -101,11 +111,9 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
 def _draw(robot: Any, series: Series, request: Request, kind: str) -> Drawn:
     import jax
-    import jax.numpy as jnp
 
     from jaxest.io.chains import sample
-    from jaxest.systems import torque, torque_model, torque_posterior, torque_sampler
-    from jaxest.types import Reading
+    from jaxest.systems import torque_model, torque_posterior, torque_sampler
 
     settings = request.settings
     n, walks = robot.nv, kind == "walk"
@@ -116,13 +124,7 @@ def _draw(robot: Any, series: Series, request: Request, kind: str) -> Drawn:
     iterations = settings.get("iterations", 400 if walks else 2500)
     if iterations < LEAST:
         raise InputError(f"[torque] iterations: got {iterations}, expected at least {LEAST}")
-    segments, passive = settings.get("segments", 1), settings.get("passive", False)
-    model = torque_model.walk(n, passive) if walks else torque_model.constant(n, segments, passive)
-    steps = np.diff(series.time, prepend=series.time[0])
-    angles, valid, known, dt = map(jnp.asarray, (series.angles, series.valid, series.feedforward, steps))
-    measured = torque.Measurement(Reading(angles, valid), known, dt)
-    data = torque.data_of(measured, segments)
-    prior = _prior(series, settings, walks, segments)
+    model, prior, data = problem(robot, series, settings, kind)
     key = jax.random.key(settings.get("seed", 0))
     request.say("the most probable motion, and warm-up")
     params = torque_sampler.tune(model, robot, prior, data, key=key, iterations=60 if walks else 200)
@@ -136,9 +138,37 @@ def _draw(robot: Any, series: Series, request: Request, kind: str) -> Drawn:
         draws = np.asarray(path)[iterations // 4 :].reshape(-1, len(series.time), n)
     else:
         rows = np.concatenate([[0], np.asarray(data.inputs.segment)])
-        draws = found.theta.reshape(-1, segments, n)[:, rows]
+        draws = found.theta.reshape(-1, settings.get("segments", 1), n)[:, rows]
     low, high = np.quantile(draws, [0.025, 0.975], axis=0)
     return Drawn(draws.mean(axis=0), low, high, found, torque_posterior.unidentified(prior, found))
+
+
+def problem(robot: Any, series: Series, settings: Mapping[str, Any], kind: str) -> Problem:
+    """Bring a log's series into the form of the samplers; JAX must compute in float64.
+
+    Args:
+        robot: the robot.
+        series: what is estimated from.
+        settings: the config's table `[torque]`.
+        kind: one of `TORQUES`.
+
+    Returns:
+        Model, prior and data.
+
+    Raises:
+        InputError: a setting that cannot be.
+    """
+    import jax.numpy as jnp
+
+    from jaxest.systems import torque, torque_model
+    from jaxest.types import Reading
+
+    segments, passive, walks = settings.get("segments", 1), settings.get("passive", False), kind == "walk"
+    model = torque_model.walk(robot.nv, passive) if walks else torque_model.constant(robot.nv, segments, passive)
+    steps = np.diff(series.time, prepend=series.time[0])
+    angles, valid, known, dt = map(jnp.asarray, (series.angles, series.valid, series.feedforward, steps))
+    data = torque.data_of(torque.Measurement(Reading(angles, valid), known, dt), segments)
+    return Problem(model, _prior(series, settings, walks, segments), data)
 
 
 @cache
@@ -159,10 +189,14 @@ def _prior(series: Series, settings: Mapping[str, Any], walks: bool, segments: i
         bend = np.diff(np.where(series.valid, series.angles, np.nan), 3, axis=0)
         guess["sensor_noise"] = max(float(np.nanmedian(np.abs(bend))) / 3.0, 1e-7)  # sqrt(20) times, 0.67 of it
     for key, value in guess.items():
-        if not value > 0:
+        try:
+            guess[key] = np.broadcast_to(np.asarray(value, float), n)
+        except ValueError:
+            raise InputError(f"[torque] {key}: got {value}, expected a number, or {n} of them") from None
+        if not (guess[key] > 0).all():
             raise InputError(f"[torque] {key}: got {value}, expected a standard deviation above 0")
     blocks = ["position_noise", "velocity_noise", *(["torque_noise"] if walks else []), "sensor_noise"]
-    centre = np.repeat([guess[key] ** 2 for key in blocks], n)
+    centre = np.concatenate([guess[key] ** 2 for key in blocks])
     first = [np.flatnonzero(series.valid[:, j])[:8] for j in range(n)]
     if any(len(rows) < 2 for rows in first):
         raise InputError("joint angles: a joint has fewer than 2 measurements")
@@ -171,7 +205,7 @@ def _prior(series: Series, settings: Mapping[str, Any], walks: bool, segments: i
     rest = settings.get("rest", False)
     mean = np.concatenate([angle, np.zeros(n) if rest else line, np.zeros(n if walks else 0)])
     wide = [(3 * guess["sensor_noise"] + 1e-4) ** 2, guess["velocity_noise"] ** 2 if rest else 0.25, 1e4]
-    variance = np.repeat(wide[: 3 if walks else 2], n)
+    variance = np.concatenate([np.broadcast_to(x, n) for x in wide[: 3 if walks else 2]])
     low, high = settings.get("low", -200.0), settings.get("high", 200.0)
     if not low < high:
         raise InputError(f"[torque] low: {low} is not below high: {high}")
@@ -201,4 +235,4 @@ def _rows(series: Series, names: tuple[str, ...], drawn: Drawn) -> list[Row]:
     return rows
 
 
-__all__ = ["estimate", "schema"]
+__all__ = ["Problem", "estimate", "problem", "schema"]

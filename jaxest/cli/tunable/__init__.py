@@ -12,7 +12,7 @@ from jaxest.cli.methods import Request
 from jaxest.io import SensorLog
 from jaxest.types import InputError, unknown_name
 
-TUNABLE = {"orientation": "jaxest.cli.tunable.orientation", "deflection": "jaxest.cli.tunable.deflection"}
+TUNABLE = {name: f"jaxest.cli.tunable.{name}" for name in ("orientation", "deflection", "onsite", "torque")}
 """Name of a method, and the module that tunes it."""
 GOALS = ("error", "likelihood")
 
@@ -72,12 +72,11 @@ def prepare(
     return importlib.import_module(TUNABLE[method]).prepare(sources, request, goal, free)
 
 
-def constrained(free: Mapping[str, str | None], default: Sequence[str]) -> dict[str, Any]:
-    """Turn names of constraints into constraints, or take a method's own choice of free parameters."""
+def constrained(free: Mapping[str, str | None], default: Mapping[str, str] | Sequence[str]) -> dict[str, Any]:
+    """Turn names of constraints into constraints; where nothing is said, those of a method's own choice."""
     from jaxest.tuning import transforms
 
-    if not free:
-        return dict.fromkeys(default)
+    free = free or (default if isinstance(default, Mapping) else dict.fromkeys(default))
     return {path: None if name is None else transforms.named(name) for path, name in free.items()}
 
 
