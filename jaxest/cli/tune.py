@@ -213,7 +213,8 @@ def _scaled(line: str, given: Any) -> str:
 
 def _distinct(space: Any, estimates: list[Any]) -> dict[int, Any]:
     """Entries that move, one of those that are equal, by where they stand among all; named as `--free` names them."""
-    kept, at = {}, 0
+    kept: dict[int, Any] = {}
+    at = 0
     for one in space.free:
         size = math.prod(one.shape)
         tied = one.bijection.size == 1 and len({row.value for row in estimates[at : at + size]}) == 1
