@@ -1,5 +1,6 @@
 """A truth at an estimate's times."""
 
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,6 +44,36 @@ def at(
     value, valid = found["orientation"]
     truth = np.where(np.asarray(valid)[:, None], np.asarray(value, np.float64), np.nan)
     return truth, _flags(found.get("movement"))
+
+
+def joints(
+    item: Stream, columns: Mapping[int, int], angles: Sequence[bool] | NDArray[np.bool_], time: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Bring true joint coordinates to the times of an estimate.
+
+    Args:
+        item: the stream that holds them.
+        columns: its column, by number of the coordinate.
+        angles: (c,) which coordinates are angles; a jump of a whole turn is none.
+        time: (T,) s.
+
+    Returns:
+        (T, c), interpolated; NaN where the truth is unknown or more than a gap away.
+    """
+    value = np.asarray(item.value, np.float64).reshape(len(item.time), -1)
+    gap = GAP * float(np.median(np.diff(item.time))) if len(item.time) > 1 else 0.0
+    found = np.full((len(time), len(angles)), np.nan)
+    for at, column in columns.items():
+        there = np.isfinite(value[:, column])
+        if not there.any():
+            continue
+        known, series = item.time[there], value[there, column]
+        series = np.unwrap(series) if angles[at] else series
+        after, before = np.searchsorted(known, time), np.searchsorted(known, time, side="right") - 1
+        near = (before >= 0) & (after < len(known))
+        near[near] = known[after[near]] - known[before[near]] <= gap
+        found[near, at] = np.interp(time[near], known, series)
+    return found
 
 
 def _flags(reading: Any) -> NDArray[np.bool_] | None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from jaxest.cli.methods import SIZE, Outcome, Request, deflection_joints, deflection_streams
 from jaxest.cli.methods.deflection_config import NOISES, PROPOSALS, Described, place, schema, sensors
 from jaxest.cli.methods.deflection_joints import Joints
+from jaxest.cli.truth import joints as known_joints
 from jaxest.io import SensorLog, to_si
 from jaxest.io.log import stream, where
 from jaxest.io.report import Row
@@ -160,12 +161,7 @@ def _truth(
         return None, ""
     item = stream(log, name)
     columns = deflection_streams.columns(item, f"{where(log)}stream {name!r}", joints.numbers)
-    value = np.full((len(time), len(joints.numbers)), np.nan)
-    for at, column in columns.items():
-        given = np.asarray(item.value, np.float64).reshape(len(item.time), -1)[:, column]
-        angles = np.unwrap(given) if joints.hinges[at] else given
-        value[:, at] = np.interp(time, item.time, angles, left=np.nan, right=np.nan)
-    return value, name
+    return known_joints(item, columns, joints.hinges, time), name
 
 
 def _rows(
