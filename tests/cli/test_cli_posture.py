@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxest import kinematics, models
+from jaxest.cli.methods import posture as cli
 from jaxest.io import SensorLog, Stream, read, write
 from jaxest.simulate import grasp
 from jaxest.systems import posture
@@ -81,6 +82,7 @@ def test_a_hand_is_followed(invoke, tmp_path):
         ('[posture.imus]\nimu_trunk = "chest"', r"\[posture.imus\] imu_trunk.*'chest'"),
         ('[posture]\nfilter = "efk"', "did you mean 'ekf'"),
         ("[posture]\nzero_posture = [2.0, 1.0]", "expected two times in s"),
+        ('[posture]\nzero_posture = ["a", "b"]', "expected two times in s"),
         ("[posture]\nzero_posture = [1.0, 3.0]", "imu_trunk moves in|imu_upper_arm moves in"),
         ('[posture.imus]\nbelt = "trunk"', "belt"),
     ],
@@ -96,3 +98,17 @@ def test_wrong_configs_are_named(refused, arm, tmp_path, config, message):
 def test_a_robot_is_needed(refused, arm, tmp_path):
     write(arm[0], tmp_path / "log.npz")
     assert "needs a robot: --robot FILE" in refused("estimate", "log.npz", "-m", "posture", "-o", "out")
+
+
+def test_what_takes_no_part_is_said(arm):
+    """An IMU that sits nowhere and a slide: the estimate says nothing of either."""
+    robot = kinematics.load(
+        '<mujoco><worldbody><body name="a"><joint name="lift" type="slide"/><geom size=".1"/>'
+        '<body name="b"><joint name="turn"/><geom size=".1"/></body></body></worldbody></mujoco>'
+    )
+    log = SensorLog({f"{name}/gyroscope": arm[0].streams["imu_hand/gyroscope"] for name in ("a", "b", "c")})
+    choice = cli.Choice({"a": "a", "b": "b"}, cli.KINDS[:2], "ekf", None, {})
+    idle, slides = cli._left_out(log, robot, choice)
+    assert "left out: c" in idle
+    assert slides == "slides stay at home: lift"
+    assert tuple(cli._hinges(robot)) == ("turn",)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from jaxest.cli.methods import SIZE, Outcome, Request, posture_checks
 from jaxest.cli.methods.orientation import imus as imus_in
+from jaxest.cli.truth import joints
 from jaxest.io import SensorLog, Stream, ticks, to_si
 from jaxest.io.log import refuse_nan, stream, where
 from jaxest.io.report import Row
@@ -47,8 +48,9 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
             `filter`, `zero_posture` (two times in s), and the numbers `initial_heading`, `memory`.
 
     Returns:
-        Streams `joints` (hinges and slides) and `joints_covariance`, `NAME/orientation` of each ball or free joint, and
-        `imu_heading_deviation`. Errors, if the log carries its own truth (a stream `joints`).
+        Streams `joints` (hinges) and `joints_covariance`, `NAME/orientation` of each ball or free joint, and
+        `imu_heading_deviation`; slides, which IMUs' orientations say nothing of, stay at home. Errors, if the log
+        carries its own truth (a stream `joints`).
 
     Raises:
         InputError: no robot, a name that does not exist, readings that cannot be used.
@@ -63,7 +65,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     time, measurements = _measured(log, choice, request.nan)
     params, system, measurements, said = _prepared(robot, choice, time, measurements)
     info = _run(system, params, measurements)
-    columns = _scalars(robot)
+    columns = _hinges(robot)
     names = tuple(columns)
     q_at, v_at = (np.array([at[i] for at in columns.values()], int) for i in (0, 1))
     mean = np.asarray(info.q, np.float64)[:, q_at]
@@ -80,6 +82,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     }  # fmt: skip
     truth = _truth(log, time, names)
     rows = _rows(time, names, mean, covariance, known[:, v_at], truth)
+    notes += _left_out(log, robot, choice)
     unsure = [n for n, k in zip(names, known[-1, v_at], strict=True) if k < SURE]
     notes = [f"used {', '.join(f'{imu} on {frame}' for imu, frame in choice.imus.items())} by {choice.filter}", *said,
              *notes]  # fmt: skip
@@ -87,12 +90,12 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
         notes.append(f"not observed: {', '.join(unsure)}; they keep their start and half a turn of uncertainty")
 
     def draw(path: Path, title: str) -> None:
-        from jaxest.viz import joints
+        from jaxest.viz import joints as picture
 
         band = 1.96 * np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0))
-        joints.draw(path, time, mean, mean - band, mean + band, names=names, truth=truth, title=title)
+        picture.draw(path, time, mean, mean - band, mean + band, names=names, truth=truth, title=title)
 
-    return Outcome(SensorLog(streams, log.source), rows, notes, _refused(info), draw)
+    return Outcome(SensorLog(streams, log.source), rows, notes, _refused(info), draw if names else None)
 
 
 def schema() -> dict[str, Any]:
@@ -137,7 +140,8 @@ def choose(log: SensorLog, robot: Any, request: Request) -> Choice:
     if name not in FILTERS:
         raise unknown_name("[posture] filter", str(name), FILTERS)
     zero = settings.get("zero_posture")
-    if zero is not None and not (len(zero) == 2 and 0 <= zero[0] < zero[1]):
+    times = [x for x in zero or () if isinstance(x, int | float) and not isinstance(x, bool)]
+    if zero is not None and not (len(times) == len(zero) == 2 and 0 <= times[0] < times[1]):
         raise InputError(f"[posture] zero_posture: got {zero}, expected two times in s, as in [0.0, 1.0]")
     numbers = {key: float(settings[key]) for key in ("initial_heading", "memory") if key in settings}
     return Choice(dict(given), kinds, str(name), None if zero is None else (float(zero[0]), float(zero[1])), numbers)
@@ -221,11 +225,21 @@ def _run(system: Any, params: Any, measurements: Any) -> Any:
     return run(system.step, params, system.init(params), measurements)[1]
 
 
-def _scalars(robot: Any) -> dict[str, tuple[int, int]]:
-    """Names of hinges and slides, and their places in q and v."""
+def _hinges(robot: Any) -> dict[str, tuple[int, int]]:
+    """Names of hinges, and their places in q and v."""
     topology = robot.topology
     parts = zip(topology.joint_names, topology.joint_kind, topology.joint_q, topology.joint_v, strict=True)
-    return {name: (q, v) for name, kind, q, v in parts if kind in ("hinge", "slide")}
+    return {name: (q, v) for name, kind, q, v in parts if kind == "hinge"}
+
+
+def _left_out(log: SensorLog, robot: Any, choice: Choice) -> list[str]:
+    """What of the log and the robot takes no part."""
+    idle = [name for name in imus_in(log) if name not in choice.imus]
+    slides = [n for n, kind in zip(robot.joint_names, robot.topology.joint_kind, strict=True) if kind == "slide"]
+    notes = (
+        [f"left out: {', '.join(idle)}, no frame of the robot has that name; [posture.imus] says where"] if idle else []
+    )
+    return [*notes, f"slides stay at home: {', '.join(slides)}"] if slides else notes
 
 
 def _turning(robot: Any, time: NDArray[np.float64], q: NDArray[np.float64]) -> dict[str, Stream]:
@@ -242,15 +256,8 @@ def _truth(log: SensorLog, time: NDArray[np.float64], names: tuple[str, ...]) ->
     if "joints" not in log.streams:
         return None
     item = log.streams["joints"]
-    value = np.asarray(item.value, np.float64).reshape(len(item.time), -1)
-    columns = [list(item.names).index(n) if n in item.names else -1 for n in names]
-    if all(c < 0 for c in columns):
-        return None
-    found = np.full((len(time), len(names)), np.nan)
-    for k, column in enumerate(columns):
-        if column >= 0:
-            found[:, k] = np.interp(time, item.time, value[:, column], left=np.nan, right=np.nan)
-    return found
+    columns = {k: item.names.index(name) for k, name in enumerate(names) if name in item.names}
+    return joints(item, columns, [True] * len(names), time) if columns else None
 
 
 def _rows(
