@@ -2,9 +2,9 @@
 
 ```toml
 [columns]
-time = "t"            # stamps of every stream that names none of its own; or, without stamps:
+time = "t"            # stamps of every stream that names none of its own
 time_unit = "us"      # s by default
-rate = 285.714        # Hz, or the name of a scalar such as "fs"; `start` (s) is the first stamp, 0 by default
+# rate = 285.714      # without stamps; Hz, or the name of a scalar such as "fs"; `start` (s) is the first, 0 by default
 
 [columns."imu0/gyroscope"]
 array = "imu0"        # an array of the file
@@ -77,9 +77,10 @@ def parse(data: Mapping[str, Any], place: str = "columns") -> ColumnTable:
         The table.
 
     Raises:
-        InputError: an unknown key (closest one named), or a value of the wrong type.
+        InputError: an unknown key (closest one named), a value of the wrong type, or both stamps and a rate.
     """
     common = {key: _typed(f"{place}.{key}", ColumnTable, key, data[key]) for key in _COMMON if key in data}
+    _one_clock(place, common)
     streams: dict[str, Column] = {}
     for name, entry in data.items():
         if name in common:
@@ -99,9 +100,18 @@ def _parse_column(entry: Mapping[str, Any], place: str) -> Column:
     column = Column(**{key: _typed(f"{place}.{key}", Column, key, value) for key, value in entry.items()})
     if not column.array and not column.columns:
         raise InputError(f"{place}: needs `array` or `columns`")
+    _one_clock(place, entry)
     if column.order not in ("", *_ORDERS):
         raise InputError(f"{place}.order: got {column.order!r}, expected one of {_ORDERS}")
     return column
+
+
+def _one_clock(place: str, given: Mapping[str, Any]) -> None:
+    if "time" not in given:
+        return
+    for key in ("rate", "start"):
+        if key in given:
+            raise InputError(f"{place}: got both time and {key}, expected stamps (time) or a rate (with its start)")
 
 
 def _typed(place: str, owner: type[Column] | type[ColumnTable], key: str, value: Any) -> Any:

@@ -26,6 +26,7 @@ _SEPARATORS = ",;\t|"
 _WESTERN = "°²³µ·".encode("latin-1")  # what units need of the encoding of a Western spreadsheet
 _MISSING = ("na", "n/a", "#n/a", "null", "none", "nil", "missing")
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
+_EUROPEAN = re.compile(r"(\d\d)\.(\d\d)\.(\d{4})[T ](\d\d:\d\d(?::\d\d(?:[.,]\d+)?)?)")
 _DATE = re.compile(r"(\d{4}-\d\d-\d\d[T ]\d\d:\d\d(?::\d\d(?:\.\d+)?)?) ?(Z|UTC|[+-]\d\d:?\d\d)?")
 
 
@@ -150,7 +151,7 @@ def _named(names: Sequence[str]) -> tuple[str, ...]:
 
 def _holds_values(row: list[str]) -> bool:
     """Say whether a row is one of values; a frame's header may hold numbers, but nothing above its index."""
-    return bool(row[0].strip()) and all(not c.strip() or number(c) is not None or _DATE.fullmatch(c) for c in row)
+    return bool(row[0].strip()) and all(not c.strip() or number(c) is not None or _date(c) for c in row)
 
 
 def _is_unit(text: str) -> bool:
@@ -172,7 +173,7 @@ def number(text: str) -> float | None:
 
 
 def dates(column: Sequence[str]) -> NDArray[np.datetime64] | None:
-    """Read a column of dates with times (ISO 8601), such as `2026-05-01 12:30:00.250+02:00`.
+    """Read a column of dates with times, such as `2026-05-01 12:30:00.250+02:00` or `01.05.2026 12:30:00,250`.
 
     Args:
         column: the cells; blank ones are no time.
@@ -180,15 +181,24 @@ def dates(column: Sequence[str]) -> NDArray[np.datetime64] | None:
     Returns:
         (n,) datetime64[ns] in UTC, or None where a cell is something else.
     """
-    found = [_DATE.fullmatch(cell.strip()) for cell in column]
+    found = [_date(cell) for cell in column]
     if not any(found) or any(match is None and cell.strip() for match, cell in zip(found, column, strict=True)):
         return None
     try:
-        local = np.array([match[1].replace(" ", "T") if match else "NaT" for match in found], "datetime64[ns]")
+        local = np.array([match[0] if match else "NaT" for match in found], "datetime64[ns]")
     except ValueError:  # the 31st of February
         return None
-    minutes = [_offset(match[2] or "") if match else 0 for match in found]
+    minutes = [_offset(match[1]) if match else 0 for match in found]
     return local - np.array(minutes, "timedelta64[m]")
+
+
+def _date(text: str) -> tuple[str, str] | None:
+    """A date's local time as ISO 8601 has it, and its zone; None for what is no date with a time."""
+    iso, dotted = _DATE.fullmatch(text.strip()), _EUROPEAN.fullmatch(text.strip())
+    if dotted:
+        day, month, year, clock = dotted.groups()
+        return f"{year}-{month}-{day}T{clock.replace(',', '.')}", ""
+    return (iso[1].replace(" ", "T"), iso[2] or "") if iso else None
 
 
 def _offset(zone: str) -> int:

@@ -17,6 +17,7 @@ RUN = 5
 DRIFT = 1e-4
 """Clocks whose rates differ by more than this drift apart: 0.1 s in 17 minutes."""
 _UNIT_LENGTH, _MANY = 0.02, 20
+_UP = 0.8  # cosine of the angle between the vertical and where quaternions put it
 _ARRIVAL, _QUANTA = 0.3, 2.5  # of the rms step, of the smallest step
 
 
@@ -232,8 +233,10 @@ def _units(log: SensorLog, name: str, item: Stream) -> list[str]:
 
 
 def _beside(log: SensorLog, name: str, item: Stream) -> NDArray[Any] | None:
-    """Return the accelerometer of the same owner at this stream's times, NaN where it says nothing."""
+    """Return the accelerometer of the same owner, or the only one, at this stream's times, NaN where it is silent."""
     partner = log.streams.get(name.removesuffix(units.kind_of(name)) + "accelerometer")
+    every = [other for key, other in log.streams.items() if units.kind_of(key) == "accelerometer"]
+    partner = every[0] if partner is None and len(every) == 1 else partner
     if partner is None or partner.value.dtype.kind != "f":
         return None
     beside = SensorLog({"accelerometer": partner}, log.source)
@@ -269,4 +272,11 @@ def _quaternions(log: SensorLog, name: str, item: Stream, finite: NDArray[np.boo
     order = plausible.quaternion_order(item.value, acc) if acc is not None else ""
     if order not in ("", "wxyz"):
         return [f"{name}: fits the measured gravity as {order}; expected wxyz, sensor to earth"]
+    up = plausible.earth_up(item.value, acc) if acc is not None and order else np.array([0, 0, 1.0])
+    if up[2] < _UP:
+        found = ", ".join(f"{x:.2f}" for x in up + 0.0)
+        ned = "; is its earth NED, z down?" if up[2] < -_UP else ""
+        return [
+            f"{name}: puts the measured gravity along [{found}]; expected [0, 0, 1] in an earth with z up (ENU){ned}"
+        ]
     return []

@@ -132,7 +132,8 @@ def _check_time(time: NDArray[np.float64], place: str) -> None:
         rest = f" ({more} more like it)" if more else ""
         raise InputError(
             f"{place}: the stamp of row {row}, {time[row]:.9f} s, is {kind} row {row - 1}'s {time[row - 1]:.9f} s"
-            f"{rest}; expected strictly increasing stamps"
+            f"{rest}; expected strictly increasing stamps: leave such rows out, or say rate = ... (Hz) in place of "
+            "time in [columns]"
         )
 
 

@@ -149,3 +149,20 @@ def quaternion_order(quat: NDArray[Any], acc: NDArray[Any]) -> str:
         found[order + " inverse" * inverse] = np.linalg.norm(turned.mean(axis=0)) / length
     best, second = sorted(found, key=lambda k: -found[k])[:2]
     return best if found[best] > 0.9 and found[second] < 0.85 * found[best] else ""
+
+
+def earth_up(quat: NDArray[Any], acc: NDArray[Any]) -> NDArray[np.float64]:
+    """Return where quaternions put the mean of the measured specific force.
+
+    Args:
+        quat: (n, 4) wxyz, sensor to earth.
+        acc: (n, 3) at the same times, any unit.
+
+    Returns:
+        (3,) of unit length: (0, 0, 1) in an earth frame whose z points up; NaN where nothing is finite.
+    """
+    q, a = _finite(quat), _finite(acc)
+    rows = np.isfinite(q).all(axis=1) & np.isfinite(a).all(axis=1)
+    w, v, a = q[rows, :1], q[rows, 1:], a[rows]
+    mean = (a + 2 * np.cross(v, np.cross(v, a) + w * a)).mean(axis=0) if rows.any() else np.full(3, np.nan)
+    return np.asarray(mean / np.maximum(np.linalg.norm(mean), 1e-12))

@@ -16,6 +16,10 @@ from jaxest.io.raw import Raw
 from jaxest.io.words import Word, classify
 from jaxest.types import InputError, listed
 
+LONG = 100
+"""Columns of a matrix of few rows from which on these are taken for its samples."""
+_EULER = {"roll", "pitch", "yaw", "heading"}
+
 
 class Proposal(NamedTuple):
     """A guessed table."""
@@ -121,12 +125,15 @@ def _streams(raw: Raw, words: dict[str, Word], assumed: list[str], unsure: list[
         else:
             rest.append(name)
     for (kind, owner), names in groups.items():
+        parts = {words[n].component for n in names}
         names = sorted(names, key=lambda n: _place(words[n].component))
         value = np.stack([raw.arrays[n] for n in names], axis=-1) if _equal(raw, names) else np.zeros((0, 0))
         units_of = {words[n].unit for n in names}
         column = Column(columns=tuple(names), unit=units_of.pop() if len(units_of) == 1 else "")
-        if kind and len(value) and _named(kind, value):
-            joints = tuple(names) if kind.startswith("joint") else ()
+        kind = kind or ("position" if parts == {"x", "y", "z"} and _is_length(column.unit) else "")
+        tilts = parts <= _EULER and len(parts) > 2  # of an IMU, which has no joints
+        if kind and len(value) and _named(kind, value) and not (kind.startswith("joint") and tilts):
+            joints = tuple(_called(n, words[n]) for n in names) if kind.startswith("joint") else ()
             _add(found, _named(kind, value), column._replace(names=joints), value, owner, unsure)
         else:
             rest += names
@@ -137,6 +144,12 @@ def _streams(raw: Raw, words: dict[str, Word], assumed: list[str], unsure: list[
             _add(found, name.strip("/") or "column", Column(array=name), value, words[name].owner, unsure, named=True)
             assumed.append(f"{name}: kept as a stream of its own, unit not known")
     return found
+
+
+def _called(name: str, word: Word) -> str:
+    """A joint's name in its column's: `elbow` of `elbow_pos [deg]`; `q1` and `elbow_joint` are whole."""
+    whole = word.component.isdigit() or "joint" in name.lower() or not word.component
+    return name if whole else word.component
 
 
 def _place(component: str) -> int:
@@ -151,8 +164,12 @@ def _transposed(kind: str, value: NDArray[Any], clocks: set[int]) -> bool:
     rows, columns = value.shape
     known = units.shape_of(kind)
     if known is None or kind == "accelerometer":  # `acc` may be of joints
-        return columns in clocks and rows not in clocks
+        return rows not in clocks and (columns in clocks or columns >= max(LONG, 10 * rows))
     return (rows,) == known != (columns,)
+
+
+def _is_length(unit: str) -> bool:
+    return bool(unit) and units.lookup(unit).si == "m"
 
 
 def _equal(raw: Raw, names: list[str]) -> bool:
@@ -268,6 +285,9 @@ def _with_unit(raw: Raw, name: str, streams: dict[str, _Found], assumed: list[st
             unsure.append(f"{name}: faster than any gyroscope in rad/s; deg/s?")
     elif kind == "gyroscope" and plausible.too_fast(value):
         unsure.append(f"{name}: faster than any gyroscope in rad/s; deg/s?")
+    elif kind == "joint_position" and (most := _largest(value)) > 4 * np.pi:
+        unit = "deg"
+        unsure.append(f"{name}: values up to {most:.4g}, in rad more than two turns; deg?")
     elif kind == "orientation" and acc is not None:
         order = plausible.quaternion_order(value, acc)
         if order.endswith("inverse"):
@@ -277,6 +297,11 @@ def _with_unit(raw: Raw, name: str, streams: dict[str, _Found], assumed: list[st
             column = column._replace(order="xyzw")
     assumed.append(f"{name}: unit {unit or 'unknown'} assumed")
     return column._replace(unit=unit)
+
+
+def _largest(value: NDArray[Any]) -> float:
+    size = np.abs(value.astype(np.float64))
+    return float(np.max(size[np.isfinite(size)], initial=0))
 
 
 def _seconds(raw: Raw, column: Column, n: int) -> NDArray[np.float64]:

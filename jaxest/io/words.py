@@ -21,16 +21,16 @@ class Word(NamedTuple):
 
 
 _KINDS = {
-    "gyroscope": "gyr gyro gyros gyroscope omega angvel w",
-    "accelerometer": "acc accel accelerometer acceleration a",
-    "magnetometer": "mag magn magnetometer magnetic compass m",
+    "gyroscope": "gyr gyro gyros gyroscope omega angvel w gyroskop drehrate",
+    "accelerometer": "acc accel accelerometer acceleration a beschleunigung",
+    "magnetometer": "mag magn magnetometer magnetic compass m magnetfeld",
     "orientation": "quat quaternion orientation attitude",
     "joint_position": "q qpos positions angles jointangles",
     "joint_velocity": "dq qd qvel qdot velocities",
     "joint_acceleration": "ddq qdd qacc accelerations",
     "joint_torque": "tau torque torques effort efforts",
     "time": "t time times stamp stamps timestamp timestamps datetime "
-    "seconds milliseconds microseconds nanoseconds millis micros nanos",
+    "seconds milliseconds microseconds nanoseconds millis micros nanos zeit zeitstempel temps tiempo",
     "rate": "fs rate hz freq frequency samplerate fsamp",
     "period": "dt ts period",
 }
@@ -44,6 +44,9 @@ _PAIRS = {
 # Words that mean something else unless the name speaks of joints.
 _JOINT = {"pos": "position", "position": "position", "angle": "position", "vel": "velocity", "velocity": "velocity",
           "acc": "acceleration", "acceleration": "acceleration", "gyr": "velocity"}  # fmt: skip
+_OF_ANGLES = {"rad": (("pos", "position", "angle", "winkel"), "joint_position"),
+              "rad/s": (("vel", "velocity"), "joint_velocity")}  # fmt: skip
+"""Words that speak of a joint where the name states such a unit: `shoulder_pos [deg]`."""
 _EMPTY = {"raw", "data", "imu", "field", "sensor", "meas", "measured", "value", "values", "joint", "joints", "ros",
           "elapsed", "date", "utc", "unix", "epoch"}  # fmt: skip
 _SHORT = ("g", "a", "m", "w", "q", "gyr", "gyro", "acc", "accel", "mag", "quat", "dq", "qd", "ddq", "tau", "omega")
@@ -53,6 +56,7 @@ _UNIT_TOKENS = {
     "seconds": "s", "milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns",
     "millis": "ms", "micros": "us", "nanos": "ns",
 }  # fmt: skip
+_BARE = ("sec", "ms", "us", "ns")  # what a clock is called that is called by its unit and nothing else
 _CLOCKS = ("seconds", "milliseconds", "microseconds", "nanoseconds", "millis", "micros", "nanos")
 _AXES = ("w", "x", "y", "z")
 
@@ -71,6 +75,8 @@ def classify(name: str) -> Word:
     if bracket:
         unit, name = bracket.group(1).strip(), name[: bracket.start()]
     tokens = [t.lower() for t in re.findall(r"[A-Z]+(?![a-z])[0-9]*|[A-Z]?[a-z]+[0-9]*|[0-9]+", name)]
+    if len(tokens) == 1 and tokens[0] in _BARE and not unit:
+        return Word("time", "", "", _UNIT_TOKENS[tokens[0]])
     tokens, component = _component(tokens)
     before = tokens
     tokens, kind = _kind(tokens, component)
@@ -81,7 +87,25 @@ def classify(name: str) -> Word:
     if not unit and tokens and _fits(kind, _UNIT_TOKENS.get(tokens[-1], "")):
         unit = _UNIT_TOKENS[tokens[-1]]
         tokens = tokens[:-1]
-    return Word(kind, "_".join(t for t in tokens if t not in _EMPTY), component, unit if _fits(kind, unit) else "")
+    unit = unit if _fits(kind, unit) else ""
+    if unit and not kind and not component:
+        tokens, kind, component = _joint(tokens, unit)
+    # A word that says the kind once more is nobody's name: `Quat_q0`, `time_stamp`.
+    owner = [t for t in tokens if t not in _EMPTY and not (_OF.get(t) == kind and len(t) > 1) and not _again(t, kind)]
+    return Word(kind, "_".join(owner), component, unit)
+
+
+def _again(token: str, kind: str) -> bool:
+    return kind == "orientation" and token == "q"
+
+
+def _joint(tokens: list[str], unit: str) -> tuple[list[str], str, str]:
+    """Take the name of a joint's angle or speed apart, by its unit: what is left is the joint."""
+    words, kind = _OF_ANGLES.get(units.lookup(unit).si, ((), ""))
+    at = next((i for i, token in enumerate(tokens) if token in words), None)
+    if at is None or len(tokens) < 2:
+        return tokens, "", ""
+    return [], kind, "_".join(tokens[:at] + tokens[at + 1 :])
 
 
 def _by_name(tokens: list[str]) -> tuple[str, list[str], str]:
@@ -128,7 +152,7 @@ def _kind(tokens: list[str], component: str) -> tuple[list[str], str]:
     for i, token in enumerate(tokens):
         if ("joint" in tokens or "joints" in tokens) and token in _JOINT:
             return tokens[:i] + tokens[i + 1 :], f"joint_{_JOINT[token]}"
-    for i, token in enumerate(tokens):
+    for i, token in sorted(enumerate(tokens), key=lambda x: len(x[1]) == 1):  # `imu_a_acc` is an accelerometer of `a`
         single = token in ("a", "m", "w")  # one letter means something only with an axis: `ax`
         if token in _OF and not (single and component not in ("x", "y", "z")):
             return tokens[:i] + tokens[i + 1 :], "orientation" if token == "q" and component in _AXES else _OF[token]

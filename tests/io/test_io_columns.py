@@ -135,6 +135,8 @@ ARRAYS = {
         ({"gyroscope": {**GYRO, "columns": [0.5]}}, ["gyroscope.columns", "0.5"]),
         ({"gyroscope": GYRO, "raet": 3}, ["'raet'", "did you mean 'rate'"]),
         ({"rate": 3}, ["no stream"]),
+        ({"gyroscope": GYRO, "time": "t", "rate": 5}, ["both time and rate", "expected"]),
+        ({"gyroscope": {**GYRO, "time": "t", "start": 5}}, ["gyroscope", "both time and start"]),
     ],
 )
 def test_errors_name_the_field_and_the_closest(table, words):

@@ -90,6 +90,19 @@ def test_dates_are_stamps(tmp_path, zone, offset):
     assert_read(read(put(tmp_path, "\n".join(lines))), start=start)
 
 
+def test_dates_as_a_german_spreadsheet_has_them(tmp_path):
+    """Day before month, points between them, a decimal comma behind the seconds."""
+    rows = samples()
+    stamps = np.datetime64("2026-05-01T12:00:00.000") + np.round(rows[:, 0] * 1000).astype("timedelta64[ms]")
+    lines = [";".join(["Zeit", *HEADER[1:]])]
+    for stamp, row in zip(stamps.astype("O"), rows, strict=True):
+        date = f"{stamp:%d.%m.%Y %H:%M:%S},{stamp.microsecond // 1000:03d}"
+        lines.append(";".join([date, *(f"{x:.6f}".replace(".", ",") for x in row[1:])]))
+    assert_read(
+        read(put(tmp_path, "\n".join(lines))), start=float(np.datetime64("2026-05-01T12:00:00").astype(np.int64))
+    )
+
+
 def test_a_date_that_is_none_is_no_stamp(tmp_path):
     content = text(HEADER, samples()).replace("\n0.000000", "\n2026-02-31 12:00:00", 1)
     with pytest.raises(InputError, match=r"line 2, column 't': '2026-02-31 12:00:00'"):

@@ -130,6 +130,17 @@ def test_order_of_quaternions(order, word):
     assert word in found[0]
 
 
+@pytest.mark.parametrize("name", ["orientation", "camera/orientation"])
+def test_an_earth_with_z_down_is_said(name):
+    """The same quaternions in an earth of north, east and down, which a half turn about (1, 1, 0) leads to."""
+    w, x, y, z = swinging()[3].T
+    ned = np.sqrt(0.5) * np.stack([-x - y, w + z, w - z, y - x], axis=1)
+    found = [w for w in warned(**{name: Stream(TIME, ned, "1")}) if "never" not in w]
+    assert len(found) == 1
+    assert found[0].startswith(f"{name}: puts the measured gravity along [")
+    assert "NED" in found[0]
+
+
 def test_units_that_are_not_si_and_angles_in_degrees():
     gyr = swinging()[0]
     assert any("stated in deg/s" in w for w in warned(gyroscope=Stream(TIME, np.rad2deg(gyr), "deg/s")))

@@ -36,6 +36,15 @@ RNG = np.random.default_rng(0)
         ("shoulder_pan_joint", ("joint_position", "", "shoulder_pan", "")),
         ("joint_2_temperature", ("", "temperature", "2", "")),
         ("joint", ("", "", "", "")),
+        ("Quat_q0", ("orientation", "", "0", "")),
+        ("imu_a_acc_x", ("accelerometer", "a", "x", "")),
+        ("imu_w_gyr_y", ("gyroscope", "w", "y", "")),
+        ("time_stamp [us]", ("time", "", "", "us")),
+        ("Zeit (ms)", ("time", "", "", "ms")),
+        ("us", ("time", "", "", "us")),
+        ("shoulder_pos [deg]", ("joint_position", "", "shoulder", "deg")),
+        ("right_elbow_vel_rads", ("joint_velocity", "", "right_elbow", "rad/s")),
+        ("tool_x [mm]", ("", "tool", "x", "mm")),
         ("joint_3_position", ("joint_position", "", "3", "")),
         ("dq_cmd", ("joint_velocity", "cmd", "", "")),
         ("target_positions", ("joint_position", "target", "", "")),
@@ -168,3 +177,30 @@ def test_columns_that_are_called_as_joints_are_one_stream_in_their_order(tmp_pat
     found = read(tmp_path / "log.csv").streams[stream]
     assert found.names == tuple(names)
     np.testing.assert_array_equal(found.value, value)
+
+
+def test_joints_by_their_names_and_a_point_in_millimetres(tmp_path):
+    """As a lab writes them: a column for each joint in degrees, and the tool's place in mm."""
+    time, angles, tool = np.arange(N) / 10, RNG.normal(size=(N, 2)) * 50, RNG.normal(size=(N, 3)) * 100
+    names = ["t_ms", "yaw_pos [deg]", "elbow_pos [deg]", "tool_x [mm]", "tool_y [mm]", "tool_z [mm]"]
+    rows = np.c_[1e3 * time, angles, tool].tolist()
+    (tmp_path / "log.csv").write_text("\n".join([",".join(names), *(",".join(map(repr, row)) for row in rows)]))
+    found = read(tmp_path / "log.csv").streams
+    assert found["joint_position"].names == ("yaw", "elbow")
+    np.testing.assert_allclose(found["joint_position"].value, np.deg2rad(angles))
+    assert found["tool/position"].unit == "m"
+    np.testing.assert_allclose(found["tool/position"].value, 1e-3 * tool)
+    euler = [f"{part}_angle [deg]" for part in ("roll", "pitch", "yaw")]  # of an IMU: three joints they are not
+    rows = np.c_[time, tool].tolist()
+    (tmp_path / "imu.csv").write_text("\n".join([",".join(["t", *euler]), *(",".join(map(repr, row)) for row in rows)]))
+    assert list(read(tmp_path / "imu.csv").streams) == euler
+
+
+def test_joints_in_degrees_and_matrices_of_rows_for_axes_are_asked(tmp_path):
+    wide = {"fs": 100.0, "Gyr": RNG.normal(size=(3, 400)), "Acc": np.tile([[0.0], [0.0], [9.8]], 400)}
+    found = propose(save(tmp_path, **wide))
+    assert found.table.streams["accelerometer"].transposed
+    assert "Acc (3, 400): seems transposed, expected (n, 3)" in found.unsure
+    found = propose(save(tmp_path, t=np.arange(N) / 10, q=np.linspace(0, 100, 3 * N).reshape(N, 3)))
+    assert found.table.streams["joint_position"].unit == "deg"
+    assert any("up to 100, in rad more than two turns; deg?" in line for line in found.unsure)
