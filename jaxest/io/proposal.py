@@ -53,7 +53,7 @@ def guess(raw: Raw) -> Proposal:
     """
     if raw.broken:
         raise InputError(f"{raw.source}: {next(iter(raw.broken.values()))}")
-    words = {name: classify(name) for name in raw.arrays}
+    words = {name: _word(name, value) for name, value in raw.arrays.items()}
     assumed: list[str] = []
     unsure: list[str] = []
     found = _streams(raw, words, assumed, unsure)
@@ -75,6 +75,12 @@ def guess(raw: Raw) -> Proposal:
     assumed += [f"left out: {reason}" for reason in raw.refused.values()]
     table = {name: _with_unit(raw, name, streams, assumed, unsure) for name in streams}
     return Proposal(_shared(table), tuple(dict.fromkeys(assumed)), tuple(dict.fromkeys(unsure)))
+
+
+def _word(name: str, value: NDArray[Any]) -> Word:
+    """What a name says; dates are stamps whatever they are called."""
+    word = classify(name)
+    return word if value.dtype.kind != "M" or word.kind == "time" else Word("time", "", "", "")
 
 
 def _listing(raw: Raw) -> str:

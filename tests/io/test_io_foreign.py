@@ -94,7 +94,7 @@ def test_dates_as_a_german_spreadsheet_has_them(tmp_path):
     """Day before month, points between them, a decimal comma behind the seconds."""
     rows = samples()
     stamps = np.datetime64("2026-05-01T12:00:00.000") + np.round(rows[:, 0] * 1000).astype("timedelta64[ms]")
-    lines = [";".join(["Zeit", *HEADER[1:]])]
+    lines = [";".join(["Datum", *HEADER[1:]])]
     for stamp, row in zip(stamps.astype("O"), rows, strict=True):
         date = f"{stamp:%d.%m.%Y %H:%M:%S},{stamp.microsecond // 1000:03d}"
         lines.append(";".join([date, *(f"{x:.6f}".replace(".", ",") for x in row[1:])]))
