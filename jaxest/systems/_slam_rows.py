@@ -93,8 +93,9 @@ def point_slope(pose: Pose, x: Array) -> Array:
 
 
 def match(
-    layout: Layout, chart: VoxelMap, params: Any, pose: Pose, points: Points, offset: Array, covariance: Array
-) -> Rows:
+    layout: Layout, chart: VoxelMap, params: Any, pose: Pose, points: Points, offset: Array, covariance: Array,
+    slack: Array | None = None,
+) -> Rows:  # fmt: skip
     """Find a plane beside each point, and write the distance to it as a row.
 
     Args:
@@ -105,6 +106,8 @@ def match(
         points: what it sees.
         offset: (n,) the biases' mean less that at which the map's points stand.
         covariance: (D, D) of the state, of which the last n are the biases.
+        slack: (6,) variances of a free root's position and rotation, which the gate lets residuals have besides; None
+            where the root is fixed.
 
     Returns:
         The rows.
@@ -134,7 +137,10 @@ def match(
     residual = jnp.sum(n * away, axis=1) - product(along, offset)
     arm = x - pose.position[None]
     lever = jnp.concatenate([jnp.cross(arm, n), n], axis=1)
-    shares = residual**2 / (params.gate**2 * points.reach + 9 * scatter**2)
+    allowed = params.gate**2 * points.reach + 9 * scatter**2
+    if slack is not None:
+        allowed = allowed + 9 * product(design[:, :6] ** 2, slack)
+    shares = residual**2 / allowed
     inside = found & (shares < 1)
     # Planes of a few readings each are wrong alike for all that is compared with them, and for scans to come.
     read = jnp.sum(share * read, axis=0)

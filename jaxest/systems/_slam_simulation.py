@@ -44,6 +44,7 @@ def simulate(
     hertz: float = 0.2,
     missing: float = 0.0,
     odometry: bool = True,
+    roll: float = 0.0,
 ) -> tuple[Any, Truth]:
     """Draw readings of a robot that stands still or drifts slowly while its joints swing.
 
@@ -60,6 +61,7 @@ def simulate(
         hertz: of the fastest one.
         missing: share of zones and of encoder readings that are not there.
         odometry: whether a free root has some.
+        roll: rad/s, about its x, at which a free root begins to turn at half time.
 
     Returns:
         Measurements with a leading time axis, and the truth.
@@ -80,9 +82,9 @@ def simulate(
         home = bodies.home(body, dtype)
         if body.root is None:
             return home
-        return home._replace(
-            position=home.position + t * drift[:3], quaternion=quaternion.retract(home.quaternion, t * drift[3:])
-        )
+        rolled = roll * jnp.maximum(t - dt * (steps // 2), 0)
+        turned = quaternion.retract(home.quaternion, t * drift[3:] + rolled * jnp.array([1, 0, 0], dtype))
+        return home._replace(position=home.position + t * drift[:3], quaternion=turned)
 
     def look(t: Array) -> Any:
         q = start + amplitude * jnp.sin(2 * jnp.pi * rate * t + phase)

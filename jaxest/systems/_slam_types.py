@@ -52,7 +52,11 @@ class Params(NamedTuple):
     missing: ArrayLike = 0.1
     """() or (n,) rad or m, how far a joint may be from its last reading while none comes."""
     root_walk: ArrayLike = 0.0316
-    """() or (6,) m and rad per root s, its random walk where no odometry comes."""
+    """() or (6,) m and rad per root s, how a free root wanders where no odometry comes."""
+    swing: ArrayLike = 0.5
+    """() by what share of the last step's motion the next one may differ, where no odometry comes."""
+    search: ArrayLike = 0.5
+    """() rad, how far a free root is looked for about each axis where it is not as predicted; a quarter of it in m."""
     travel: ArrayLike = 0.01
     """() m, standard deviation of a step's `travel`."""
     turn: ArrayLike = 0.005
@@ -96,6 +100,10 @@ class State(NamedTuple):
     chart: VoxelMap
     reading: Array
     """(n,) last reading of each encoder."""
+    pace: Array
+    """(6,) m/s and rad/s, how a free root moved in the last step, in its own axes then."""
+    usual: Array
+    """() share of the first link's points about which there was a map that lay on its planes."""
     index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
     """() int32, steps seen."""
 

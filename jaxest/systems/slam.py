@@ -28,14 +28,15 @@ from jaxest.mapping import Hashed, Layout, VoxelMap, empty
 from jaxest.sensors.proximity import Proximity
 from jaxest.systems import _slam_body as bodies
 from jaxest.systems._slam_body import Body, Mean
-from jaxest.systems._slam_link import Carry, Config, Seen, rebased, repeats, walk
+from jaxest.systems._slam_link import repeats, walk
+from jaxest.systems._slam_register import Carry, Config, Seen, amiss, rebased
 from jaxest.systems._slam_rows import Points
 from jaxest.systems._slam_simulation import simulate
 from jaxest.systems._slam_types import FOLLOWS, FULL, LOST, UNSEEN, Fixed, Free, Info, Params, State
-from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, Reading, System
+from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, Reading, System
 
-FITS = 0.3  # share of the points with the map about them that must lie on its planes
-MANY = 3  # as many points as an update needs say that
+SURE = 2.0  # deviations of a motion that make it one
+MEMORY = 50  # steps
 SURPRISE = 9.0  # squared deviations per dimension by which a link's points may correct the prediction
 
 
@@ -94,7 +95,8 @@ def init(body: Body, layout: Layout, capacity: int, params: Params, *, key: Arra
     at = np.array([body.robot.topology.joint_q[j] for j in body.joints], int)
     reading = jnp.asarray(body.robot.home[at], dtype)
     chart = empty(layout, capacity, 3 * n, dtype)
-    return State(bodies.home(body, dtype), jnp.diag(spread), chart, reading, jnp.zeros((), jnp.int32))
+    still, unseen = jnp.zeros(6, dtype), jnp.zeros((), dtype)
+    return State(bodies.home(body, dtype), jnp.diag(spread), chart, reading, still, unseen, jnp.zeros((), jnp.int32))
 
 
 def points_of(body: Body, ranges: Reading) -> Points:
@@ -121,37 +123,51 @@ def _step(
     there = jnp.broadcast_to(measurement.joints.valid, (n,))
     reading = jnp.where(there, measurement.joints.value, state.reading)
     noise = jnp.where(there, params.encoder, params.missing) ** 2 * jnp.ones(n, dtype)
-    mean, covariance = _predict(body, params, state.mean, state.covariance, measurement, state.index)
+    mean, covariance, doubt = _predict(body, params, state, measurement)
     links = bodies.links(body, mean, reading, body.scanned)
     start = Carry(mean, covariance, state.chart, state.mean.bias, links)
     points = points_of(body, measurement.ranges)
     before = bodies.links(body, state.mean, state.reading, body.scanned)
     scans = repeats(params, links, before, state.index)
-    carry, seen = walk(body, config, params, start, reading, noise, points, scans, state.index)
+    carry, seen = walk(body, config, params, start, reading, noise, points, scans, state.index, doubt, state.usual)
     carry = rebased(carry, 0.0)
     info = _info(body, config, params, carry, seen, reading, noise, broken, state.chart)
-    return State(carry.mean, carry.covariance, carry.chart, reading, state.index + 1), info
+    pace = _pace(state.mean, carry.mean, measurement.dt) if body.root is not None else state.pace
+    usual = _usual(state, seen)
+    return State(carry.mean, carry.covariance, carry.chart, reading, pace, usual, state.index + 1), info
 
 
-def _predict(
-    body: Body, params: Params, mean: Mean, covariance: Array, measurement: Any, index: Array
-) -> tuple[Mean, Array]:
-    """Let biases walk, and the root go where odometry says or anywhere."""
+def _predict(body: Body, params: Params, state: State, measurement: Any) -> tuple[Mean, Array, Array]:
+    """Let biases walk, and the root go where odometry says, or on as it went.
+
+    Returns:
+        Mean, covariance, and the variances (6,) by which a free root may have changed its pace.
+    """
+    mean, covariance = state.mean, state.covariance
     n, dt = len(body.joints), jnp.asarray(measurement.dt, covariance.dtype)
     grown = jnp.broadcast_to(params.bias_walk**2, (n,)) * dt
     if body.root is None:
-        return mean, covariance + jnp.diag(grown)
+        none = jnp.zeros(6, covariance.dtype)
+        return mean, covariance + jnp.diag(grown), none
     # Where the root is at the first scan is where the map's frame lies: nothing moved it before.
-    walk = jnp.broadcast_to(params.root_walk**2, (6,)) * jnp.where(index == 0, 0, dt)
-    started = index > 0
+    started = state.index > 0
+    walk = jnp.broadcast_to(params.root_walk**2, (6,)) * jnp.where(started, dt, 0)
     moved = []
-    for reading, deviation, blind in (
-        (measurement.travel, params.travel, walk[:3]),
-        (measurement.turn, params.turn, walk[3:]),
+    for reading, deviation, blind, pace, known in (
+        (measurement.travel, params.travel, walk[:3], state.pace[:3], covariance[:3, :3]),
+        (measurement.turn, params.turn, walk[3:], state.pace[3:], covariance[3:6, 3:6]),
     ):
         valid = jnp.asarray(reading.valid) & started
-        moved.append((jnp.where(valid, reading.value, 0), jnp.where(valid, deviation**2, blind)))
-    (travel, far), (turn, wide) = moved
+        # A motion that may as well be none, as far as it is known, says nothing of where the root goes next.
+        ahead = jnp.where(started, pace * dt, 0)
+        far, wander = jnp.sum(ahead**2), jnp.sum(jnp.broadcast_to(blind, 3)) + SURE**2 * jnp.trace(known)
+        ahead = ahead * far / jnp.where(far + wander > 0, far + wander, 1)
+        change = jnp.where(valid, 0, params.swing**2 * jnp.sum(ahead**2))
+        spread = jnp.where(valid, deviation**2, blind)
+        moved.append((jnp.where(valid, reading.value, ahead), spread, jnp.broadcast_to(change, 3)))
+    (travel, near, faster), (turn, wide, quicker) = moved
+    doubt = jnp.concatenate([faster, quicker])
+    added = jnp.concatenate([near, wide]) + doubt
     rotation = quaternion.to_matrix(mean.quaternion)
     step = product(rotation, travel)
     # The travel is in the root's axes, so that an error of its rotation moves it sideways.
@@ -159,10 +175,26 @@ def _predict(
     slope = slope.at[:3, 3:6].set(-product(rotation, skew(travel)))
     slope = slope.at[3:6, 3:6].set(quaternion.to_matrix(quaternion.exp(turn)).T)
     covariance = symmetric(product(product(slope, covariance), slope.T))
-    covariance = covariance + jnp.diag(jnp.concatenate([jnp.broadcast_to(far, 3), jnp.broadcast_to(wide, 3), grown]))
-    return mean._replace(
-        position=mean.position + step, quaternion=quaternion.retract(mean.quaternion, turn)
-    ), covariance
+    covariance = covariance + jnp.diag(jnp.concatenate([added, grown]))
+    gone = mean._replace(position=mean.position + step, quaternion=quaternion.retract(mean.quaternion, turn))
+    return gone, covariance, doubt
+
+
+def _pace(before: Mean, after: Mean, dt: ArrayLike) -> Array:
+    """Return how fast (6,) m/s and rad/s the root went, in its own axes before."""
+    back = quaternion.inverse(before.quaternion)
+    gone = quaternion.rotate(back, after.position - before.position)
+    turned = quaternion.local(before.quaternion, after.quaternion)
+    dt = jnp.asarray(dt, gone.dtype)
+    return jnp.where(dt > 0, jnp.concatenate([gone, turned]) / jnp.where(dt > 0, dt, 1), 0)
+
+
+def _usual(state: State, seen: Seen) -> Array:
+    """Follow the share of the first link's points that fit, over some `MEMORY` steps in which it was not lost."""
+    inliers, matched = (x[0].astype(state.usual.dtype) for x in (seen.sums.inliers, seen.sums.matched))
+    share = inliers / jnp.maximum(matched, 1)
+    steps = jnp.clip(state.index, 1, MEMORY)
+    return jnp.where((matched > 0) & ~seen.lost[0], state.usual + (share - state.usual) / steps, state.usual)
 
 
 def _info(
@@ -179,8 +211,7 @@ def _info(
     s = seen.sums
     follows = s.inliers < config.least
     # Also where too few fit for an update: a link that finds itself in the midst of a map and on none of its planes.
-    amiss = (s.inliers < FITS * s.matched) & (s.matched >= MANY * config.least)
-    lost = amiss | (~follows & (seen.surprise > SURPRISE))
+    lost = seen.lost | amiss(config, s) | (~follows & (seen.surprise > SURPRISE))
     link = jnp.full(len(body.links), UNSEEN, jnp.int32)
     link = link.at[np.array(body.scanned)].set(jnp.where(lost, LOST, jnp.where(follows, FOLLOWS, OK)))
     full = carry.chart.overflow > before.overflow

@@ -28,7 +28,7 @@ from jaxest.systems import _slam_hang as hang
 from jaxest.systems import slam
 from jaxest.systems._slam_body import Body
 from jaxest.systems._slam_hang import Chain
-from jaxest.systems._slam_link import Config, subset
+from jaxest.systems._slam_register import Config, subset
 from jaxest.systems._slam_rows import Points, Pose, match, moved, sums, world
 from jaxest.systems._slam_simulation import simulate
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, System

@@ -20,7 +20,7 @@ from jaxest.viz import canvas
 RUNS = 3
 SECONDS = 30.0
 PAPER = 4.6  # cm
-ROLL = 3.0  # rad/s
+ROLL = (0.2, 3.0, 10.0)  # rad/s
 NAMES = ("x", "y", "z")
 
 
@@ -79,7 +79,7 @@ def roll(choice: Choice, say: Say) -> Section:
     links, seconds = (5, 1.0) if choice.small else (20, 12.0)
     one = Condition("roll", links, *((2, 4) if choice.small else (8, 8)))
     rows, shown = [], []
-    for rate in (0.2, ROLL):
+    for rate in ROLL:
         made = rolling(one, runs.Plan(100 * choice.seed, seconds), rate)
         for chain in (False, True):
             name = "paper's filter" if chain else "joint belief"
@@ -94,7 +94,7 @@ def roll(choice: Choice, say: Say) -> Section:
     def paint(figure: Any) -> None:
         axis = canvas.plain(figure.subplots(), xlabel="time [s]", ylabel="root's position error [cm]", yscale="log")
         for (label, time, error), colour in zip(
-            shown, (canvas.BLUE, canvas.GREY, canvas.RED, canvas.ORANGE), strict=True
+            shown, (canvas.BLUE, canvas.GREY, canvas.RED, canvas.ORANGE, canvas.GREEN, "0.3"), strict=True
         ):
             axis.plot(time, np.maximum(error, 1e-2), color=colour, label=label)
         axis.legend(frameon=False, fontsize=9)
