@@ -214,14 +214,19 @@ def usable(measurement: Imu, dtype: Any) -> tuple[Sample, Sample, Array]:
     Raises:
         ValueError: a sensor's value is not (3,), or `valid` or `dt` is not a scalar.
     """
-    values, flags, bad = [], [], []
+    dt = _shaped("dt", measurement.dt, (), dtype)
+    timed = jnp.isfinite(dt)
+    dt = jnp.where(timed, dt, 0)
+    values, flags, bad = [], [], [~timed]
     for name in ("gyroscope", "accelerometer", "magnetometer"):
         reading = getattr(measurement, name)
         if reading is None:
             value, flag = jnp.zeros(3, dtype), jnp.zeros((), bool)
         else:
             value, flag = _shaped(name, reading.value, (3,), dtype), _shaped(f"{name}.valid", reading.valid, (), bool)
-            finite = jnp.isfinite(jnp.sum(value * value))  # a square that overflows cannot be normalised either
+            square = jnp.sum(value * value)
+            # A square that overflows cannot be normalised either, nor a turn over the step that has one.
+            finite = jnp.isfinite(16 * square * dt * dt if name == "gyroscope" else square)
             bad.append(flag & ~finite)
             flag = flag & finite
             value = jnp.where(flag, value, 0)
@@ -229,11 +234,8 @@ def usable(measurement: Imu, dtype: Any) -> tuple[Sample, Sample, Array]:
             value, flag = _direction(value)
         values.append(value)
         flags.append(flag)
-    dt = _shaped("dt", measurement.dt, (), dtype)
-    finite = jnp.isfinite(dt)
-    broken = jnp.any(jnp.stack([*bad, ~finite]))
-    status = jnp.where(broken, NON_FINITE, OK).astype(jnp.int32)
-    return Sample._make([*values, jnp.where(finite, dt, 0)]), Sample._make([*flags, finite]), status
+    status = jnp.where(jnp.any(jnp.stack(bad)), NON_FINITE, OK).astype(jnp.int32)
+    return Sample._make([*values, dt]), Sample._make([*flags, timed]), status
 
 
 def _shaped(name: str, value: Any, shape: tuple[int, ...], dtype: Any) -> Array:

@@ -8,11 +8,14 @@ from jaxest.types import Array, ArrayLike
 
 
 def normalize(q: ArrayLike) -> Array:
-    """Return the quaternion (4,) scaled to length 1, zero becoming no rotation; raises ValueError for another shape."""
+    """Return the quaternion (4,) scaled to length 1, zero becoming no rotation and NaN staying NaN.
+
+    Raises ValueError for another shape.
+    """
     q = as_array("q", q, 4)
     length2 = dot(q, q)
-    some = length2 > 0
-    return jnp.where(some, q, jnp.eye(4, dtype=q.dtype)[0]) / jnp.sqrt(jnp.where(some, length2, 1.0))
+    zero = length2 == 0
+    return jnp.where(zero, jnp.eye(4, dtype=q.dtype)[0], q) / jnp.sqrt(jnp.where(zero, 1.0, length2))
 
 
 def to_matrix(q: ArrayLike) -> Array:

@@ -10,6 +10,7 @@ from reference.ref_complementary import complementary as reference
 from scipy.spatial.transform import Rotation
 
 from jaxest.filters import complementary, run
+from jaxest.filters.attitude import madgwick
 from jaxest.filters.complementary import Imu, Params, exponential, init, projection, step
 from jaxest.types import NON_FINITE, OK, Reading
 
@@ -197,6 +198,19 @@ def test_bad_time_steps_and_free_fall_change_nothing():
     assert np.any(np.asarray(info.error_acc[1]) != 0)
     assert not np.any(np.asarray([info.error_acc[3], info.error_mag[3]]))
     assert np.all(np.isfinite(info.quaternion))
+
+
+def test_a_turn_that_overflows_is_left_out_and_said():
+    """Its exponential is no number, which must neither stay in the state nor be taken for no rotation."""
+    m = resting(Rotation.from_rotvec([0.5, 0.2, 0.1]), 3)
+    wild = m._replace(
+        gyroscope=m.gyroscope._replace(value=np.float32([[0, 0, 0], [1e16, 0, 0], [0, 0, 0]])),
+        dt=np.float32([0.01, 1e4, 0.01]),
+    )
+    for module, still in ((complementary, Params(0.0, 0.0)), (madgwick, madgwick.Params(0.0))):
+        _, info = run(module.step, still, module.init(still), wild)
+        assert np.asarray(info.status).tolist() == [OK, NON_FINITE, OK]
+        np.testing.assert_allclose(info.quaternion, np.asarray(info.quaternion)[[0, 0, 0]], atol=1e-6)
 
 
 def test_wrong_shapes_are_named():

@@ -119,6 +119,17 @@ def test_log_forgets_length_and_sign(dtype):
         assert apart(got[below], v[below].astype(np.float64)) <= 8 * eps
 
 
+def test_what_is_no_number_stays_so(dtype):
+    """A rotation that was lost must not come back as no rotation."""
+    one, lost = quaternion.identity(dtype), jnp.full(3, jnp.nan, dtype)
+    assert np.all(np.isnan(quaternion.normalize(jnp.full(4, jnp.nan, dtype))))
+    assert np.all(np.isnan(quaternion.retract(one, lost)))
+    assert np.all(np.isnan(quaternion.from_matrix(jnp.full((3, 3), jnp.nan, dtype))))
+    assert np.all(np.isnan(quaternion.mean(jnp.stack([one, jnp.full(4, jnp.nan, dtype)]))))
+    assert np.all(np.isnan(se3.retract(se3.identity(dtype), jnp.full(6, jnp.nan, dtype)).rotation))
+    np.testing.assert_array_equal(quaternion.normalize(jnp.zeros(4, dtype)), one)
+
+
 def test_retract_keeps_unit_length():
     step = jnp.array([0.3, -0.2, 0.1])
     q = jax.lax.fori_loop(0, 20_000, lambda _, q: quaternion.retract(q, step), quaternion.identity())

@@ -37,7 +37,10 @@ def usable(measurement: Imu, dtype: Any) -> Sample:
     Raises:
         ValueError: a sensor's value is not (3,), or `valid` or `dt` is not a scalar.
     """
-    found, bad = [], []
+    dt = _shaped("dt", measurement.dt, (), dtype)
+    timed = jnp.isfinite(dt)
+    dt = jnp.where(timed, dt, 0)
+    found, bad = [], [~timed]
     for name in ("gyroscope", "accelerometer", "magnetometer"):
         reading = getattr(measurement, name)
         if reading is None:
@@ -45,15 +48,13 @@ def usable(measurement: Imu, dtype: Any) -> Sample:
             continue
         value, valid = _shaped(name, reading.value, (3,), dtype), _shaped(f"{name}.valid", reading.valid, (), bool)
         square = jnp.sum(value * value)
-        finite = jnp.isfinite(square)  # a square that overflows is of no use either
+        # A square that overflows is of no use either, nor a rate whose turn over the step has one.
+        finite = jnp.isfinite(16 * square * dt * dt if name == "gyroscope" else square)
         bad.append(valid & ~finite)
         there = valid & finite & ((square > 0) | (name == "gyroscope"))
         found.append(Reading(jnp.where(there, value, 0), there))
-    dt = _shaped("dt", measurement.dt, (), dtype)
-    finite = jnp.isfinite(dt)
-    broken = jnp.any(jnp.stack([*bad, ~finite]))
     gyro, acc, mag = found
-    return Sample(gyro, acc, mag, jnp.where(finite, dt, 0), jnp.where(broken, NON_FINITE, OK).astype(jnp.int32))
+    return Sample(gyro, acc, mag, dt, jnp.where(jnp.any(jnp.stack(bad)), NON_FINITE, OK).astype(jnp.int32))
 
 
 def direction(vector: Array) -> Array:
