@@ -146,17 +146,17 @@ def rmse(error: Any, where: Any = None, *, axis: int = -1) -> Any:
         axis: axis of the samples.
 
     Returns:
-        (...) in the unit of `error`; NaN where no sample counts.
+        (...) in the unit of `error`; NaN where no sample counts. Its gradient is 0 where every error is.
     """
     xp = _namespace(error, where)
     error = xp.asarray(error)
     if where is None:
-        return xp.sqrt(xp.mean(error * error, axis=axis))
+        return _root(xp, xp.mean(error * error, axis=axis))
     where = xp.broadcast_to(xp.asarray(where), error.shape)
     safe = xp.where(where, error, 0)
     count = xp.sum(where, axis=axis)
     mean = xp.sum(safe * safe, axis=axis) / xp.where(count == 0, 1, count).astype(error.dtype)
-    return xp.where(count == 0, xp.nan, xp.sqrt(mean))
+    return xp.where(count == 0, xp.nan, _root(xp, mean))
 
 
 def broad_rmse_deg(estimate: Any, truth: Any, movement: Any) -> OrientationError:
@@ -177,7 +177,8 @@ def broad_rmse_deg(estimate: Any, truth: Any, movement: Any) -> OrientationError
     Source: Laidig et al. 2021 (BROAD).
     """
     xp = _namespace(estimate, truth, movement)
-    there = ~xp.any(xp.isnan(xp.asarray(truth)), axis=-1)
+    truth = xp.asarray(truth)
+    there = ~xp.any(xp.isnan(truth), axis=-1)
     errors = orientation_error(estimate, xp.where(there[..., None], truth, _identity(xp, truth)))
     return OrientationError(*(xp.rad2deg(rmse(error, there & xp.asarray(movement))) for error in errors))
 
@@ -271,13 +272,17 @@ def _product(xp: Any, estimate: Any, truth: Any, *, conjugate_first: bool) -> tu
 
 def _norm(xp: Any, *parts: Any) -> Any:
     """Euclidean norm whose gradient is zero, not NaN, at the origin."""
-    square = sum(part * part for part in parts)
+    return _root(xp, sum(part * part for part in parts))
+
+
+def _root(xp: Any, square: Any) -> Any:
+    """Square root whose gradient is zero, not infinite, at zero."""
     zero = square == 0
     return xp.where(zero, 0, xp.sqrt(xp.where(zero, 1, square))).astype(square.dtype)
 
 
 def _identity(xp: Any, like: Any) -> Any:
-    return xp.broadcast_to(xp.asarray([1, 0, 0, 0], dtype=xp.asarray(like).dtype), like.shape)
+    return xp.broadcast_to(xp.asarray([1, 0, 0, 0], dtype=like.dtype), like.shape)
 
 
 __all__ = [

@@ -67,6 +67,13 @@ def test_gradients_are_finite_where_the_error_is_zero():
 
     assert np.all(np.isfinite(jax.grad(total)(q)))
     assert np.all(np.isfinite(jax.grad(lambda p: metrics.position_error(p, jnp.ones(3)))(jnp.ones(3))))
+    some = jnp.array([[True, True], [True, False], [False, False]])
+
+    def rms(error):
+        found = metrics.rmse(error, some)
+        return metrics.rmse(error[0]) + found[0] + found[1]
+
+    np.testing.assert_allclose(jax.grad(rms)(jnp.array([[0.0, 0], [2, jnp.nan], [1, 1]])), [[0, 0], [1, 0], [0, 0]])
 
 
 def test_headings_are_aligned_at_one_sample(array):
@@ -106,6 +113,11 @@ def test_the_broad_metric_leaves_out_rest_and_occlusion(array):
     np.testing.assert_allclose([float(e) for e in error], [3, 3, 0], atol=1e-6)
     wider = metrics.broad_rmse_deg(array(off), array(truth), array(movement | True))
     assert wider.total > 10
+
+
+def test_the_broad_metric_takes_plain_lists():
+    error = metrics.broad_rmse_deg([[1.0, 0, 0, 0]], [[0.0, 1, 0, 0]], [True])
+    np.testing.assert_allclose(error, [180, 0, 180])
 
 
 def test_coverage(array):
