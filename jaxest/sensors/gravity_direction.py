@@ -23,7 +23,7 @@ class Params(NamedTuple):
     """The sensor's numbers."""
 
     concentration: ArrayLike = 400.0
-    """() positive, 1/rad^2 of each of the two tilts (400: 0.05 rad)."""
+    """() at least 0, 1/rad^2 of each of the two tilts (400: 0.05 rad)."""
     mounting: ArrayLike = np.array([1.0, 0.0, 0.0, 0.0])
     """(4,) wxyz, sensor to frame; normalised on use."""
     up: ArrayLike = np.array([0.0, 0.0, 1.0])
@@ -58,7 +58,8 @@ def log_prob(params: Params, reading: Reading, frames: Frames) -> Array:
     """
     k = jnp.asarray(params.concentration, frames.position.dtype)
     r = residual(params, reading, frames)
-    constant = jnp.log(k / -jnp.expm1(-2 * k)) - math.log(2 * math.pi)
+    some = jnp.where(k > 0, k, 1)
+    constant = jnp.log(jnp.where(k > 0, some / -jnp.expm1(-2 * some), 0.5)) - math.log(2 * math.pi)
     return only(reading.valid, constant - (r[0] * r[0] + r[1] * r[1] + r[2] * r[2]) / 2)
 
 
@@ -88,7 +89,9 @@ def sample(key: Array, params: Params, frames: Frames) -> Array:
     dtype = frames.position.dtype
     k = jnp.asarray(params.concentration, dtype)
     u, turn = jax.random.uniform(key, (2,), dtype, minval=jnp.finfo(dtype).tiny)
-    fall = -jnp.log(u + (1 - u) * jnp.exp(-2 * k)) / k  # 1 - cosine, so that narrow ones keep their digits
+    some = jnp.where(k > 0, k, 1)
+    # 1 - cosine, so that narrow ones keep their digits; evenly spread where nothing is concentrated.
+    fall = jnp.where(k > 0, -jnp.log(u + (1 - u) * jnp.exp(-2 * some)) / some, 2 * (1 - u))
     sine, angle = jnp.sqrt(fall * (2 - fall)), 2 * math.pi * turn
     centre = predict(params, frames)
     side = _across(centre)

@@ -140,9 +140,9 @@ _RULES = MappingProxyType(
     {
         "concentration": ("at least 0", lambda x: x < 0),
         "variance": ("positive numbers", lambda x: x <= 0),
-        "mounting": ("a unit quaternion wxyz", _not_unit),
-        "up": ("a unit vector", _not_unit),
-        "lam": ("four numbers, none above the first or last", lambda x: x.shape != (4,) or np.max(x) > x[0]),
+        "mounting": ("a unit quaternion wxyz", lambda x: x.shape != (4,) or _not_unit(x)),
+        "up": ("a unit vector", lambda x: x.shape != (3,) or _not_unit(x)),
+        "lam": ("four numbers, none above the first", lambda x: x.shape != (4,) or np.max(x) > x[0]),
     }
 )
 

@@ -128,6 +128,19 @@ def test_densities_are_those_of_elsewhere(x64):
     np.testing.assert_allclose(density, stats.vonmises_fisher(up, 50.0).logpdf(value), atol=1e-10)
 
 
+def test_an_accelerometer_that_says_nothing(dtype):
+    """A concentration of 0, which `check_params` takes, is the uniform density of the sphere."""
+    kind, frames = sensors.gravity_direction, cast(poses(Q), dtype)
+    frames = kinematics.Frames(*(x[1:2] for x in frames))
+    params = cast(kind.Params(0.0), dtype)
+    reading = Reading(jnp.asarray([0.0, 3.0, 4.0], dtype), True)
+    np.testing.assert_allclose(kind.log_prob(params, reading, frames), -np.log(4 * np.pi), rtol=1e-6)
+    drawn = jax.vmap(lambda key: kind.sample(key, params, frames))(jax.random.split(jax.random.key(0), 4000))
+    np.testing.assert_allclose(np.linalg.norm(drawn, axis=1), 1, rtol=1e-5)
+    # A component of a uniform direction has the variance 1/3: 4.5 standard errors of its mean.
+    assert np.abs(np.mean(drawn, axis=0)).max() < 4.5 / np.sqrt(3 * 4000)
+
+
 def test_the_error_of_an_orientation_is_about_the_worlds_axes(x64):
     """SciPy's product in the paper's order, and the normaliser by quadrature over the sphere S^3."""
     lam = PARAMS["link_orientation"].lam
@@ -234,7 +247,8 @@ def test_bad_sensors_are_named():
         ("joint_angle", sensors.joint_angle.Params(1.0, np.nan), "offset is nan, expected finite numbers"),
         ("link_position", sensors.link_position.Params(np.array([1.0, 0, 1])), "variance is .*, expected positive"),
         ("link_orientation", sensors.link_orientation.Params(mounting=np.ones(4)), "mounting is .*unit quaternion"),
-        ("link_orientation", sensors.link_orientation.Params(np.array([0.0, 5, 0, 0])), "lam is .*none above"),
+        ("link_orientation", sensors.link_orientation.Params(mounting=np.array([0, 0, 1.0])), "mounting is .*unit quat"),
+        ("link_orientation", sensors.link_orientation.Params(np.array([0.0, 5, 0, 0])), "lam is .*none above the first$"),
         ("end_effector_pose", PARAMS["end_effector_pose"]._replace(
             position=sensors.link_position.Params(np.array([1.0, -1, 1]))), "position: variance"),
     ],
