@@ -134,19 +134,22 @@ def _rows(layout: Layout, chart: VoxelMap, point: Array, valid: Array) -> tuple[
     placed = valid & (slot < layout.slots)
     at = jnp.minimum(slot, layout.slots - 1)
     row = chart.table[at]
+    fresh = placed & (row == FREE)
     mine = jnp.arange(count, dtype=jnp.int32)
-    claim = chart.table.at[jnp.where(placed & (row == FREE), slot, layout.slots)].set(-2 - mine, mode="drop")
-    first = placed & (row == FREE) & (claim[at] == -2 - mine)
+    claim = chart.table.at[jnp.where(fresh, slot, layout.slots)].set(-2 - mine, mode="drop")
+    claimed = claim[at]
+    first = fresh & (claimed == -2 - mine)
     made = chart.used + jnp.cumsum(first.astype(jnp.int32)) - 1
     made = jnp.where(made < capacity, made, FREE)
     table = claim.at[jnp.where(first, slot, layout.slots)].set(made, mode="drop")
     row = table[at]
     there = placed & (row >= 0)
-    # A slot of another place: its point is far off.
+    # A slot of another place: its point, or the one that has just claimed it, is far off.
     old = jnp.minimum(row, capacity - 1)
     seen = chart.total[old, 3] > 0
-    away = jnp.max(jnp.abs(chart.point[old] - point), axis=1) > 2.5 * layout.voxel
-    there = there & ~(seen & away)
+    holder = jnp.where(fresh[:, None], point[jnp.where(fresh, -2 - claimed, 0)], chart.point[old])
+    away = jnp.max(jnp.abs(holder - point), axis=1) > 2.5 * layout.voxel
+    there = there & ~((seen | fresh) & away)
     rows = jnp.where(there, row, capacity)
     owned = chart.slot.at[jnp.where(first & there, row, capacity)].set(slot, mode="drop")
     used = jnp.minimum(chart.used + jnp.sum(first, dtype=jnp.int32), capacity)

@@ -90,6 +90,16 @@ def test_what_finds_no_room_is_counted():
     assert (int(outside.used), int(outside.overflow)) == (0, 3)
 
 
+def test_places_that_share_a_slot_are_kept_apart_within_one_scan():
+    """Two points 8 cells apart on a table of 8 cells: the one that comes second has no room, as in a later scan."""
+    layout = mapping.Hashed(0.2, (8, 8, 8))
+    points = np.float32([[0.1, 0.1, 0.1], [1.7, 0.1, 0.1], [0.5, 0.1, 0.1]])
+    chart = mapping.insert(layout, mapping.empty(layout, 16), points, np.ones(3, bool))
+    assert (int(chart.used), int(chart.overflow)) == (2, 1)
+    found = np.asarray(chart.point)[:2]
+    assert all(np.abs(points - one).max(axis=1).min() < 1e-6 for one in found)
+
+
 def test_means_forget_beyond_their_most():
     chart = mapping.empty(HASHED, 4)
     for value in [0.05] * 40 + [0.15] * 40:
