@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.calibration.alignment import rotations
+from jaxest.calibration._rotations import rotation_vector, rotations
 
 Matrix = NDArray[np.float64]
 SIZE = 17
@@ -222,12 +222,3 @@ def about_up(angle: Matrix) -> Matrix:
     zero, one = np.zeros_like(angle), np.ones_like(angle)
     c, s = np.cos(angle), np.sin(angle)
     return np.stack([c, -s, zero, s, c, zero, zero, zero, one], -1).reshape(*angle.shape, 3, 3)
-
-
-def rotation_vector(rotation: Matrix) -> Matrix:
-    """Rotation vectors (..., 3) of rotations (..., 3, 3) by less than half a turn."""
-    skew = np.stack([rotation[..., 2, 1] - rotation[..., 1, 2], rotation[..., 0, 2] - rotation[..., 2, 0],
-                     rotation[..., 1, 0] - rotation[..., 0, 1]], -1) / 2  # fmt: skip
-    sine = np.linalg.norm(skew, axis=-1, keepdims=True)
-    cosine = (np.trace(rotation, axis1=-2, axis2=-1)[..., None] - 1) / 2
-    return skew * np.where(sine > 1e-9, np.arctan2(sine, cosine) / np.maximum(sine, 1e-300), 1.0)

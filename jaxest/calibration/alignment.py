@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxest.calibration._recordings import recorded
+from jaxest.calibration._rotations import rotations, skew
 from jaxest.types import InputError
 
 
@@ -40,12 +42,11 @@ def align(
         The rotation.
 
     Raises:
-        InputError: shapes are wrong, the recording is too short, or the turning does not tell; the axis is named.
+        InputError: shapes or stamps are wrong, values are not finite, the recording is too short, or the turning does
+            not tell; the axis is named.
     """
-    t, w, f = (np.asarray(x, np.float64) for x in (time, gyroscope, accelerometer))
-    if t.ndim != 1 or w.shape != (len(t), 3) or f.shape != (len(t), 3):
-        raise InputError(f"time, gyroscope, accelerometer: got {t.shape}, {w.shape}, {f.shape}, expected (n,), (n, 3)")
-    count = max(round(span / float(np.median(np.diff(t)))), 1) if len(t) > 1 else 1
+    t, w, f = recorded(("time", time), gyroscope=gyroscope, accelerometer=accelerometer)
+    count = max(round(span / float(np.median(np.diff(t)))), 1)
     if len(t) < 20 * count:
         raise InputError(f"time: got {len(t)} samples, expected at least {20 * count}, twenty times {span} s")
     turns = _turned(t, w, count)
@@ -95,21 +96,6 @@ def _turned(time: NDArray[np.float64], rate: NDArray[np.float64], count: int) ->
     for shift in range(1, count):
         product = product @ steps[shift : shift + number]
     return np.swapaxes(product, 1, 2)
-
-
-def skew(v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return matrices (n, 3, 3) with M u = v x u."""
-    zero = np.zeros(len(v))
-    x, y, z = v.T
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-
-
-def rotations(v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation matrices (n, 3, 3) of rotation vectors (n, 3)."""
-    angle = np.linalg.norm(v, axis=1)[:, None, None]
-    k = skew(v)
-    half = np.sinc(angle / (2 * np.pi))
-    return np.eye(3) + np.sinc(angle / np.pi) * k + half * half / 2 * (k @ k)
 
 
 __all__ = ["Alignment", "align", "rotations", "skew"]

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxest.calibration._recordings import finite
 from jaxest.types import InputError
 
 
@@ -37,9 +38,7 @@ def fit(points: ArrayLike, *, iterations: int = 20) -> Circle:
     p = np.asarray(points, np.float64)
     if p.ndim != 2 or p.shape[1] != 2 or len(p) < 3:
         raise InputError(f"points: got shape {p.shape}, expected (n, 2) with at least three points")
-    if not np.isfinite(p).all():
-        raise InputError(f"points: row {int(np.argmin(np.isfinite(p).all(axis=1)))} is not finite")
-    middle = p.mean(axis=0)
+    middle = finite("points", p).mean(axis=0)
     scale = float(np.linalg.norm(p - middle, axis=1).max())
     if scale == 0 or np.linalg.svd(p - middle)[1][1] < 1e-9 * scale * np.sqrt(len(p)):
         raise InputError("points: they lie on one line, expected three that do not")

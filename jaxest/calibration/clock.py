@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxest.calibration._recordings import recorded
 from jaxest.filters import savitzky_golay as sg
 from jaxest.types import InputError
 
@@ -51,9 +52,11 @@ def offset(
         The offset. Its deviation is that of scores summed over half seconds, for errors of the sensors are correlated.
 
     Raises:
-        InputError: the recordings hardly overlap, stamps are wrong, or the rates do not vary enough to tell.
+        InputError: shapes or stamps are wrong, values are not finite, the recordings hardly overlap, or the rates do
+            not vary enough to tell.
     """
-    ta, wa, tp, wp = (np.asarray(x, np.float64) for x in (time_a, rate_a, time_p, rate_p))
+    ta, wa = recorded(("time_a", time_a), rate_a=rate_a)
+    tp, wp = recorded(("time_p", time_p), rate_p=rate_p)
     low, high = max(ta[0], tp[0] + most), min(ta[-1], tp[-1] - most)
     if not high - low > 2:
         raise InputError(

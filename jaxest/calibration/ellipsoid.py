@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxest.calibration._recordings import finite
 from jaxest.types import InputError
 
 REACH = 0.3
@@ -76,8 +77,7 @@ def fit(
     y = np.asarray(readings, np.float64)
     if y.ndim != 2 or y.shape[1] != 3 or len(y) < 12:
         raise InputError(f"readings: got shape {y.shape}, expected (n, 3) with at least 12 rows")
-    if not np.isfinite(y).all():
-        raise InputError(f"readings: row {int(np.argmin(np.isfinite(y).all(axis=1)))} is not finite")
+    finite("readings", y)
     x = _start(y / length)
     residual, slope = _model(x, y / length)
     damping, cost = 1e-3, residual @ residual

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxest.calibration import alignment, ellipsoid, imu_static
+from jaxest.calibration._rotations import skew
 from jaxest.files import write_text
 from jaxest.filters import savitzky_golay as sg
 from jaxest.types import InputError
@@ -103,7 +104,7 @@ def _arms(time: NDArray[np.float64], rates: NDArray[np.float64]) -> NDArray[np.f
     fitted = sg.smooth(time, rates, half_width=half_width, degree=2)
     w, turn = (np.asarray(x, np.float64) for x in fitted[:2])
     squares = w[:, :, None] * w[:, None, :]
-    return alignment.skew(turn) + squares - np.einsum("nii->n", squares)[:, None, None] * np.eye(3)
+    return skew(turn) + squares - np.einsum("nii->n", squares)[:, None, None] * np.eye(3)
 
 
 def apply(
@@ -149,13 +150,11 @@ def load(path: str | Path) -> dict[str, Calibration]:
         found = {}
         for name, one in plain.items():
             values = {key: np.asarray({**usual, **one}[key], np.float64) for key in shapes}
-            wrong = [
-                key for key, shape in shapes.items() if values[key].shape != shape or not np.isfinite(values[key]).all()
-            ]
-            if wrong:
-                raise InputError(
-                    f"{path}: {name}: {wrong[0]} has shape {values[wrong[0]].shape}, expected {shapes[wrong[0]]}"
-                )
+            for key, value in values.items():
+                if value.shape != shapes[key]:
+                    raise InputError(f"{path}: {name}: {key} has shape {value.shape}, expected {shapes[key]}")
+                if not np.isfinite(value).all():
+                    raise InputError(f"{path}: {name}: {key} is {value.tolist()}, expected finite numbers")
             plain_ones: Any = {key: v if v.shape else float(v) for key, v in values.items()}
             found[name] = Calibration(**plain_ones)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:

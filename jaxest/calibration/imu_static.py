@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from jaxest.calibration._recordings import recorded
 from jaxest.filters import savitzky_golay as sg
 from jaxest.types import InputError
 
@@ -83,14 +84,7 @@ def _rests(
     time: ArrayLike, gyroscope: ArrayLike, accelerometer: ArrayLike, least: float, fewest: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], tuple[slice, ...]]:
     """The recording, checked, and the rows of its rests."""
-    t, w, f = (np.asarray(x, np.float64) for x in (time, gyroscope, accelerometer))
-    if t.ndim != 1 or w.shape != (len(t), 3) or f.shape != (len(t), 3):
-        raise InputError(f"time, gyroscope, accelerometer: got {t.shape}, {w.shape}, {f.shape}, expected (n,), (n, 3)")
-    for name, x in (("gyroscope", w), ("accelerometer", f)):
-        if not np.isfinite(x).all():
-            raise InputError(f"{name}: row {int(np.argmin(np.isfinite(x).all(axis=1)))} is not finite")
-    if len(t) < 2 or not (np.diff(t) > 0).all():
-        raise InputError("time: expected at least two increasing stamps")
+    t, w, f = recorded(("time", time), gyroscope=gyroscope, accelerometer=accelerometer)
     width = max(round(least / float(np.median(np.diff(t)))), fewest)
     if len(t) < width:
         raise InputError(f"time: got {len(t)} samples, expected at least {width}, {least} s")

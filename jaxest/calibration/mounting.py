@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from jaxest.calibration import _axes_rates
 from jaxest.calibration._axes import Found, Paths, fit_pair, refined, start_hinge, start_pair
+from jaxest.calibration._recordings import finite
+from jaxest.calibration._rotations import of_quaternions, skew, to_quaternion
 from jaxest.types import InputError
 
 LEAST = np.deg2rad(10.0)
@@ -116,7 +118,7 @@ def from_vectors(sensor: ArrayLike, link: ArrayLike, weight: ArrayLike | None = 
         (4,) wxyz, sensor to link.
 
     Raises:
-        InputError: shapes are wrong, or the directions are all parallel.
+        InputError: shapes are wrong, values are not finite, or the directions are all parallel.
 
     Source: Wahba 1965; Markley 1988 (singular value decomposition).
     """
@@ -124,11 +126,15 @@ def from_vectors(sensor: ArrayLike, link: ArrayLike, weight: ArrayLike | None = 
     if a.shape != b.shape or a.ndim != 2 or a.shape[1:] != (3,):
         raise InputError(f"sensor, link: got shapes {a.shape} and {b.shape}, expected the same (k, 3)")
     w = np.ones(len(a)) if weight is None else np.asarray(weight, np.float64)
+    if w.shape != (len(a),):
+        raise InputError(f"weight: got shape {w.shape}, expected ({len(a)},), one a direction")
+    for name, x in (("sensor", a), ("link", b), ("weight", w)):
+        finite(name, x)
     u, size, vt = np.linalg.svd((w[:, None] * b).T @ a)
-    if not np.isfinite(size).all() or size[1] < 1e-3 * max(size[0], 1e-300):
+    if size[1] < 1e-3 * max(size[0], 1e-300):
         raise InputError("sensor: the directions are all parallel, expected two that are not; add another joint's axis")
     matrix = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
-    return _from_matrix(matrix)
+    return to_quaternion(matrix)
 
 
 def zero_posture(
@@ -153,12 +159,12 @@ def zero_posture(
 
     Source: Santaera 2015, eq. 25, with the frames of ERRATA S4.
     """
-    carries, guess = (_matrix(np.asarray(q, np.float64)) for q in (link, nominal))
+    carries, guess = (of_quaternions(np.asarray(q, np.float64)) for q in (link, nominal))
     felt = _direction("force", force)
     if field is not None:
         east = _direction("field", np.cross(_direction("field", field), felt))
         stands = np.stack([east, np.cross(felt, east), felt])  # rows: the earth's axes in the sensor
-        return _from_matrix(carries.T @ stands)
+        return to_quaternion(carries.T @ stands)
     up, seen = carries.T @ np.array([0.0, 0, 1]), guess @ felt
     axis, cosine = np.cross(seen, up), float(seen @ up)
     if cosine < 0:
@@ -166,8 +172,8 @@ def zero_posture(
             f"mounting: the sensor's vertical is {np.rad2deg(np.arccos(max(cosine, -1))):.0f} deg from where the "
             "robot's file has it, expected less than 90; are axes swapped, or is another posture held?"
         )
-    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return _from_matrix((np.eye(3) + cross + cross @ cross / (1 + cosine)) @ guess)
+    cross = skew(axis[None])[0]
+    return to_quaternion((np.eye(3) + cross + cross @ cross / (1 + cosine)) @ guess)
 
 
 def _direction(name: str, vector: ArrayLike) -> NDArray[np.float64]:
@@ -189,7 +195,7 @@ def _paths(time: ArrayLike, first: ArrayLike, second: ArrayLike) -> Paths:
         if bad.any():
             raise InputError(f"{name}: row {int(np.argmax(bad))} is not a unit quaternion")
     thin = max(1, len(t) // 4000)
-    return Paths.of(t[::thin], _matrix(a[::thin]), _matrix(b[::thin]))
+    return Paths.of(t[::thin], of_quaternions(a[::thin]), of_quaternions(b[::thin]))
 
 
 def _by_rates(time: Any, first: Any, second: Any, rates: Any, found: Found) -> _axes_rates.Solved | None:
@@ -207,7 +213,7 @@ def _by_rates(time: Any, first: Any, second: Any, rates: Any, found: Found) -> _
     if gap.max() > GAP * np.median(gap):
         where = f"time: a gap of {gap.max():.3g} s after {t[np.argmax(gap)]:.6g} s"
         raise InputError(f"{where}, rates cannot be integrated over it; use one side of it, or leave out rates")
-    path = np.stack([_matrix(np.asarray(q, np.float64)) for q in (first, second)])
+    path = np.stack([of_quaternions(np.asarray(q, np.float64)) for q in (first, second)])
     heading = found.heading + found.drift * (t - t[0])
     turning, guess = _axes_rates.begun(t, rate, path, heading, (found.first, found.second, found.angle))
     for k, name in enumerate(("first", "second")):
@@ -240,25 +246,6 @@ def _axes(paths: Paths, found: Found, angle: float, exact: _axes_rates.Solved | 
     sign = np.diag([s1] * 3 + [s2] * 3)
     covariance = sign @ covariance @ sign
     return Axes(s1 * j1, s2 * j2, covariance, found.heading, found.drift, angle, residual, excursion)
-
-
-def _matrix(q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation matrices (..., 3, 3) of quaternions (..., 4)."""
-    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
-    rows = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-            2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]  # fmt: skip
-    return np.stack(rows, -1).reshape(*q.shape[:-1], 3, 3)
-
-
-def _from_matrix(m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Quaternion (4,), w >= 0, of a rotation matrix: the largest eigenvector of Davenport's matrix."""
-    k = np.array([[m[0, 0] + m[1, 1] + m[2, 2], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
-                  [0, m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
-                  [0, 0, m[1, 1] - m[0, 0] - m[2, 2], m[1, 2] + m[2, 1]],
-                  [0, 0, 0, m[2, 2] - m[0, 0] - m[1, 1]]])  # fmt: skip
-    q = np.linalg.eigh(k + k.T - np.diag(np.diag(k)))[1][:, -1]
-    return -q if q[0] < 0 else q
 
 
 __all__ = ["LEAST", "Axes", "from_vectors", "hinge", "two_axis", "zero_posture"]

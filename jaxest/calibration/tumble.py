@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from jaxest.calibration import imu_static
-from jaxest.calibration.alignment import rotations
+from jaxest.calibration._rotations import rotation_vector as log
+from jaxest.calibration._rotations import rotations
 from jaxest.calibration.imu import Calibration, Readings
 from jaxest.types import InputError
 
@@ -136,15 +137,6 @@ def _integrated(
         behind = steps[i] @ behind
     slope = np.einsum("tji,tk,t->ijk", left, value, dt).reshape(3, 9)
     return behind, slope
-
-
-def log(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation vector (3,) of a turn (3, 3) below 180 deg."""
-    sine = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
-    size = float(np.linalg.norm(sine)) / 2
-    angle = np.arctan2(size, (np.trace(rotation) - 1) / 2)
-    vector: NDArray[np.float64] = sine / 2 * (angle / size if size > 1e-12 else 1.0)
-    return vector
 
 
 __all__ = ["QUARTERS", "G", "attitudes", "calibrate", "log"]

@@ -125,3 +125,7 @@ def test_clocks():
         clock.offset(ta, wa, tp + 100, wp)
     with pytest.raises(InputError, match="hardly vary"):
         clock.offset(ta, 0 * wa, tp, wp)
+    with pytest.raises(InputError, match="rate_p: row 9 is not finite"):
+        clock.offset(ta, wa, tp, np.where(np.arange(1500)[:, None] == 9, np.nan, wp))
+    with pytest.raises(InputError, match=r"time_a, rate_a: got \(0,\), \(1500, 3\), expected"):
+        clock.offset([], wa, tp, wp)

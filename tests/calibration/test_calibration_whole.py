@@ -41,6 +41,10 @@ def test_turning_about_one_axis_does_not_tell():
         alignment.align(time, rate, force + 0.01 * np.random.default_rng(0).normal(size=force.shape))
     with pytest.raises(InputError, match="got 100 samples, expected at least 2000"):
         alignment.align(time[:100], rate[:100], force[:100])
+    with pytest.raises(InputError, match="gyroscope: row 7 is not finite"):
+        alignment.align(time, np.where(np.arange(len(time))[:, None] == 7, np.nan, rate), force)
+    with pytest.raises(InputError, match="time: expected at least two increasing stamps"):
+        alignment.align(time[::-1], rate, force)
 
 
 def test_a_sensor_as_it_comes_reads_right_afterwards(tmp_path):
@@ -113,3 +117,7 @@ def test_files_that_are_no_calibration(tmp_path):
     imu.save({"a": one}, tmp_path / "shape.json")
     with pytest.raises(InputError, match=r"a: gyroscope_bias has shape \(2,\), expected \(3,\)"):
         imu.load(tmp_path / "shape.json")
+    one = one._replace(gyroscope_bias=np.array([0, np.nan, 0]))
+    imu.save({"a": one}, tmp_path / "lost.json")
+    with pytest.raises(InputError, match=r"a: gyroscope_bias is \[0.0, nan, 0.0\], expected finite numbers"):
+        imu.load(tmp_path / "lost.json")

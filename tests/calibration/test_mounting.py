@@ -114,6 +114,10 @@ def test_a_mounting_from_directions():
     assert (Rotation.from_quat(found, scalar_first=True).inv() * turn).magnitude() < 1e-9
     with pytest.raises(InputError, match="all parallel"):
         mounting.from_vectors([[1, 0, 0], [-1, 0, 0]], [[0, 1, 0], [0, -1, 0]])
+    with pytest.raises(InputError, match="link: row 1 is not finite"):
+        mounting.from_vectors(link, [[1, 0, 0], [np.nan, 0, 0]])
+    with pytest.raises(InputError, match=r"weight: got shape \(3,\), expected \(2,\)"):
+        mounting.from_vectors(link, link, [1, 1, 1])
 
 
 def test_a_zero_posture_levels_the_nominal_mounting():
