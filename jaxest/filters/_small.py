@@ -227,6 +227,6 @@ def largest(values: Array, vectors: Array) -> Array:
 
 
 __all__ = [
-    "applied", "eigen4", "eye", "held", "inverse3", "largest", "outer", "product", "sandwich", "trace", "transposed",
-    "turned_back", "written_out",
+    "applied", "eigen4", "eye", "finite", "held", "inverse3", "largest", "outer", "product", "sandwich", "trace",
+    "transposed", "turned_back", "written_out",
 ]  # fmt: skip

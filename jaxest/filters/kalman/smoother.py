@@ -12,7 +12,7 @@ from jaxest.filters.kalman.gaussian import product
 from jaxest.filters.kalman.linear import Root, Series, smooth_series
 from jaxest.filters.kalman.model import Model, State, clean, factors, filter_step
 from jaxest.filters.run import run
-from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, PyTree
+from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, OUT_OF_RANGE, Array, ArrayLike, PyTree
 
 _BACK = 12  # terms of the derivative's series; each shrinks by the rate at which the iteration converges
 
@@ -44,7 +44,8 @@ class History(NamedTuple):
     iterations: Array
     """() int32, linearisations of the path."""
     status: Array
-    """(T,) int32, `OK`, `NON_FINITE` (that measurement had such a reading) or `NOT_CONVERGED` (on every row)."""
+    """(T,) int32, `OK`, `NON_FINITE` (that measurement had such a reading), `OUT_OF_RANGE` (the filter did not take it)
+    or `NOT_CONVERGED` (on every row)."""
 
 
 def smooth(
@@ -107,7 +108,8 @@ def smooth(
     deviations, density = solved(steps)
     path = retract(retract(nominal, steps), deviations.mean)
     covariance = deviations.covariance
-    failed = jnp.where(filtered.status == NON_FINITE, NON_FINITE, jnp.where(settled, OK, NOT_CONVERGED))
+    told = (filtered.status == NON_FINITE) | (filtered.status == OUT_OF_RANGE)
+    failed = jnp.where(told, filtered.status, jnp.where(settled, OK, NOT_CONVERGED))
     return History(
         jax.tree.map(lambda x: x[1:], path),
         covariance[1:],

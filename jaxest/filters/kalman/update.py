@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from jaxest.filters.kalman.factors import (
     Factor,
     Rows,
-    block_size,
     evaluate,
     inside_gate,
     joined,
@@ -118,14 +117,12 @@ def _select(manifold: Manifold, factors: list[Factor], belief: Gaussian, zero: A
     values, slopes = evaluate(manifold, factors, belief.mean, zero)
     innovations, keeps, broken = [], [], jnp.zeros((), bool)
     for factor, value, slope in zip(factors, values, slopes, strict=True):
-        d = block_size(factor, value.shape[0])
         there = validity(factor, value)
         keep = there & jnp.isfinite(value)
         broken = broken | jnp.any(there & ~keep)
         value = jnp.where(keep, value, 0)
         innovations.append(value)
-        keep = inside_gate(factor, value, jnp.where(keep[:, None], slope, 0), keep, belief.covariance)
-        keeps.append(keep.reshape(-1, d).reshape(-1))
+        keeps.append(inside_gate(factor, value, jnp.where(keep[:, None], slope, 0), keep, belief.covariance))
     return innovations, keeps, broken
 
 
