@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxest.kinematics.lean import give_unit_inertia
+from jaxest.kinematics.lean import give_unit_inertia, gives_inertia
 
 
 class Given(NamedTuple):
@@ -52,12 +52,19 @@ def set_aside(spec: Any) -> dict[str, Given]:
             turn[:, 2] *= np.sign(np.linalg.det(turn))
             mujoco.mju_mat2Quat(axes, turn.flatten())
         given = Given(float(body.mass), np.array(body.ipos, float), principal, axes)
-        if given.physical or not np.isfinite([given.mass, *principal]).all():
+        if given.physical or not np.isfinite([given.mass, *principal]).all() or _replaced(spec, body, given):
             continue
         found[body.name] = given
         give_unit_inertia(body)
         body.fullinertia = np.full(6, np.nan)
     return found
+
+
+def _replaced(spec: Any, body: Any, given: Given) -> bool:
+    """Tell whether the compiler is told to put something else in the place of such an inertia."""
+    if spec.compiler.balanceinertia and given.mass > 0 and given.principal.min() > 0:
+        return True
+    return any(gives_inertia(spec, body, geom) for geom in body.geoms)
 
 
 def put_back(model: Any, given: dict[str, Given]) -> None:
@@ -78,12 +85,13 @@ def put_back(model: Any, given: dict[str, Given]) -> None:
         model.body_iquat[body] = turned
 
 
-def weightless(model: Any, given: dict[str, Given]) -> list[str]:
-    """Name the bodies that nothing beyond them weighs either, so that a joint would move nothing.
+def weightless(model: Any) -> list[str]:
+    """Name the bodies whose joint would move nothing: neither they nor what hangs on them weighs anything.
+
+    A frame without mass that is fixed to a link, as many robots have at their tips, is none of them.
 
     Args:
         model: the compiled model, with what was given put back.
-        given: what `set_aside` took.
 
     Returns:
         Names.
@@ -91,7 +99,7 @@ def weightless(model: Any, given: dict[str, Given]) -> list[str]:
     carried = np.array(model.body_mass)
     for body in range(model.nbody - 1, 0, -1):
         carried[model.body_parentid[body]] += carried[body]
-    return [name for name, own in given.items() if own.mass <= 0 and carried[model.body(name).id] <= 0]
+    return [model.body(body).name for body in np.flatnonzero((carried <= 0) & (model.body_jntnum > 0))]
 
 
 __all__ = ["Given", "put_back", "set_aside", "weightless"]

@@ -1,23 +1,36 @@
 """Leaving out of MuJoCo's editable model what a robot's kinematics and dynamics do not need, or what is absent."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 
-def drop_meshes(spec: Any) -> tuple[list[str], list[str]]:
+def name_bodies(spec: Any) -> None:
+    """Give nameless bodies the first free `body` with a number from their own on."""
+    taken = {body.name for body in spec.bodies}
+    for number, body in enumerate(spec.bodies):
+        while not body.name:
+            if f"body{number}" not in taken:
+                body.name = f"body{number}"
+                taken.add(body.name)
+            number += 1
+
+
+def drop_meshes(spec: Any, folders: Sequence[Path] = ()) -> tuple[list[str], list[str]]:
     """Delete geoms that need a mesh or height-field file, but for present files that an inertia depends on.
 
     Args:
         spec: a `mujoco.MjSpec`; changed.
+        folders: of the models that are attached to it, which their own files are relative to.
 
     Returns:
         Notes on absent files, and the names of bodies whose inertia an absent file would have given.
     """
-    folder = Path(spec.modelfiledir or ".")
-    absent = {mesh.name for mesh in spec.meshes if mesh.file and not _exists(folder, spec, mesh.file)}
-    absent_fields = {field.name for field in spec.hfields if field.file and not _exists(folder, spec, field.file)}
+    there = [Path(spec.modelfiledir or "."), *folders]
+    absent = {mesh.name for mesh in spec.meshes if mesh.file and not _exists(there, spec, mesh)}
+    absent_fields = {field.name for field in spec.hfields if field.file and not _exists(there, spec, field)}
     missing = {mesh.file for mesh in spec.meshes if mesh.name in absent}
     missing |= {field.file for field in spec.hfields if field.name in absent_fields}
     massless: list[str] = []
@@ -27,7 +40,7 @@ def drop_meshes(spec: Any) -> tuple[list[str], list[str]]:
         for geom in list(body.geoms):
             if not geom.meshname and geom.hfieldname not in absent_fields:
                 continue
-            weighs = geom.meshname and _gives_inertia(spec, body, geom)
+            weighs = geom.meshname and gives_inertia(spec, body, geom)
             if weighs and geom.meshname not in absent:
                 kept.add(geom.meshname)
                 continue
@@ -54,12 +67,22 @@ def drop_meshes(spec: Any) -> tuple[list[str], list[str]]:
     return notes, massless
 
 
-def _exists(folder: Path, spec: Any, file: str) -> bool:
-    return any((folder / sub / file).is_file() for sub in ("", spec.meshdir or "", spec.compiler.meshdir or ""))
+def _exists(folders: Sequence[Path], spec: Any, asset: Any) -> bool:
+    subs = {"", spec.meshdir or "", spec.compiler.meshdir or "", asset.compiler.meshdir or ""}
+    return any((folder / sub / asset.file).is_file() for folder in folders for sub in subs)
 
 
-def _gives_inertia(spec: Any, body: Any, geom: Any) -> bool:
-    """Tell whether a geom counts for its body's inertia, as MuJoCo's compiler decides it."""
+def gives_inertia(spec: Any, body: Any, geom: Any) -> bool:
+    """Tell whether a geom counts for its body's inertia, as MuJoCo's compiler decides it.
+
+    Args:
+        spec: a `mujoco.MjSpec`.
+        body: of it.
+        geom: of the body.
+
+    Returns:
+        Whether it does.
+    """
     import mujoco
 
     if body.name == "world" or geom.mass == 0 or (np.isnan(geom.mass) and geom.density == 0):

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
-import warnings
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxest.kinematics.given_inertia import put_back, set_aside, weightless
-from jaxest.kinematics.includes import check_includes
-from jaxest.kinematics.lean import drop_decoration, drop_meshes, give_unit_inertia
+from jaxest.kinematics.compiled import compile_model, compiled
+from jaxest.kinematics.left_out import from_motors, left_out
 from jaxest.kinematics.robot import BALL, FREE, HINGE, NQ, SLIDE, Robot, Topology
-from jaxest.kinematics.urdf import check_text, check_urdf
 from jaxest.types import InputError
 
 if TYPE_CHECKING:
@@ -30,7 +25,8 @@ def load(source: str | Path | mujoco.MjModel) -> Robot:
 
     Hinge, slide, ball and free joints, several on a body, trees, fixed bodies (kept, also those of a URDF), sites and
     equality-coupled joints (URDF mimic joints among them). Meshes are read only where an inertia depends on them; what
-    had to be left out is logged in one line and kept in `robot.notes`.
+    had to be left out is logged in one line and kept in `robot.notes`: constraints that close loops, tendons, gravity
+    compensation. Motors' armature and damping are taken along to their joints.
 
     Args:
         source: path of an MJCF or URDF file, its text, or a compiled model.
@@ -46,130 +42,15 @@ def load(source: str | Path | mujoco.MjModel) -> Robot:
     if not isinstance(source, (str, Path)):
         if not hasattr(source, "jnt_qposadr"):
             raise ValueError(f"source: got {type(source).__name__}, expected a path, MJCF or URDF text, or an MjModel")
-        return _robot("model", source, (), ())
-    name, model, massless, notes = _compile(source)
+        return _robot("model", source, (), tuple(left_out(source)))
+    name, model, massless, notes = compiled(source)
+    notes += left_out(model)
     for note in notes:
         _log.warning("%s: %s", name, note)
     try:
         return _robot(name, model, massless, tuple(notes))
     except UnicodeDecodeError as error:  # MuJoCo reads bytes, whatever the encoding
         raise InputError(f"{name}: a name is not UTF-8 text ({error.reason}); expected a file in UTF-8") from None
-
-
-def compile_model(source: str | Path) -> mujoco.MjModel:
-    """Compile the same file for MuJoCo's own functions, with the same things left out and fixed bodies kept.
-
-    Args:
-        source: path of an MJCF or URDF file, or its text.
-
-    Returns:
-        MuJoCo's model; bodies without inertia have a stand-in of 1 kg.
-
-    Raises:
-        FileNotFoundError: no such file.
-        InputError: the file is no robot, or MuJoCo cannot compile it.
-    """
-    return _compile(source)[1]
-
-
-@contextlib.contextmanager
-def _heard() -> Iterator[list[str]]:
-    """Collect MuJoCo's warnings, which it would print, and write into a file of the working folder."""
-    import mujoco
-
-    heard: list[str] = []
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(heard.append)
-    try:
-        with warnings.catch_warnings(record=True) as found:
-            warnings.simplefilter("always")
-            yield heard
-        heard += [_one_line(entry.message) for entry in found]
-    finally:
-        mujoco.set_mju_user_warning(before)
-
-
-def _text(source: str | Path) -> tuple[str, bool, str]:
-    """Return a name for messages, whether the source is the text itself, and the text."""
-    text = str(source).removeprefix("\ufeff")
-    if isinstance(source, str) and text.lstrip().startswith("<"):
-        return "robot text", True, text
-    try:
-        there = Path(source).is_file()
-    except (OSError, ValueError):  # a name that no file can have
-        there = False
-    if not there:
-        shown = text if len(text) < 200 else f"{text[:200]}..."
-        raise FileNotFoundError(f"{shown}: no such file; expected an MJCF or URDF robot")
-    return text, False, Path(source).read_text(encoding="utf-8", errors="replace")
-
-
-def _read(source: str | Path) -> tuple[str, Any, list[str]]:
-    """Parse a file or a text; return a name for messages, MuJoCo's editable model, and notes."""
-    import mujoco
-
-    name, inline, text = _text(source)
-    check_text(name, text)
-    check_urdf(name, text)
-    notes = check_includes(name, text, Path() if inline else Path(name).parent)
-    try:
-        spec = mujoco.MjSpec.from_string(text) if inline else mujoco.MjSpec.from_file(name)
-    except ValueError as error:
-        raise InputError(f"{name}: MuJoCo cannot read it: {_one_line(error)}") from None
-    try:
-        _ = [part.name for group in (spec.bodies, spec.joints, spec.sites, spec.geoms) for part in group]
-    except UnicodeDecodeError as error:
-        raise InputError(f"{name}: a name is not UTF-8 ({error.object!r}); save the file as UTF-8") from None
-    return name, spec, notes
-
-
-def _one_line(error: Exception | Warning | str) -> str:
-    return "; ".join(part.strip() for part in str(error).splitlines() if part.strip())
-
-
-def _compile(source: str | Path) -> tuple[str, mujoco.MjModel, tuple[str, ...], list[str]]:
-    """Compile what kinematics and dynamics need; return a name, the model, the bodies without inertia, and notes."""
-    with _heard() as heard:
-        name, spec, told = _read(source)
-        spec.compiler.fusestatic = False
-        notes, massless = drop_meshes(spec)
-        drop_decoration(spec)
-        empty = [body for body in spec.bodies if body.joints and not body.explicitinertial and not body.geoms]
-        given = set_aside(spec)
-        try:
-            model = spec.compile()
-        except ValueError as error:
-            if "mass and inertia of moving bodies" not in str(error):
-                raise _refusal(name, error) from None
-            for body in empty:
-                give_unit_inertia(body)
-            massless += [body.name for body in empty]
-            try:
-                model = spec.compile()
-            except ValueError as second:
-                raise _refusal(name, second) from None
-    notes += [*told, *dict.fromkeys(_one_line(line) for line in heard)]
-    put_back(model, given)
-    massless += weightless(model, given)
-    odd, massless = (  # a fixed body's weight does not matter
-        [body for body in group if model.body_weldid[model.body(body).id] != 0] for group in (given, massless)
-    )
-    if odd:
-        notes.append(f"{len(odd)} inertias that no matter has, used as given ({_some(odd)})")
-    if massless:
-        notes.append(f"kinematics only: no inertia for {len(massless)} bodies ({_some(massless)})")
-    return name, model, tuple(massless), notes
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
-
-
-def _refusal(name: str, error: Exception) -> InputError:
-    hint = (
-        "; call the link that it hangs on 'world'" if "free joint can only be used on top level" in str(error) else ""
-    )
-    return InputError(f"{name}: MuJoCo cannot compile it: {_one_line(error)}{hint}")
 
 
 def _robot(source: str, model: mujoco.MjModel, massless: tuple[str, ...], notes: tuple[str, ...]) -> Robot:
@@ -214,8 +95,8 @@ def _robot(source: str, model: mujoco.MjModel, massless: tuple[str, ...], notes:
         site_quaternion=model.site_quat.copy(),
         coupling=coefficients,
         gravity=model.opt.gravity.copy(),
-        armature=model.dof_armature.copy(),
-        damping=model.dof_damping.copy(),
+        armature=model.dof_armature + from_motors(model, getattr(model, "actuator_armature", np.zeros(model.nu))),
+        damping=model.dof_damping + from_motors(model, getattr(model, "actuator_damping", np.zeros(model.nu))),
         friction_loss=model.dof_frictionloss.copy(),
         stiffness=model.jnt_stiffness.copy(),
         spring_reference=model.qpos_spring.copy(),
@@ -303,3 +184,6 @@ def _limits(model: mujoco.MjModel, kinds: tuple[str, ...]) -> np.ndarray:
         if model.jnt_limited[joint] and NQ[kind] == 1:
             limits[model.jnt_qposadr[joint]] = model.jnt_range[joint]
     return limits
+
+
+__all__ = ["compile_model", "load"]

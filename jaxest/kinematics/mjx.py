@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxest.kinematics.forward import Frames
+from jaxest.kinematics.inertia import check_inertia
 from jaxest.kinematics.load import compile_model, load
 from jaxest.kinematics.robot import Robot, frame
 from jaxest.manifolds import quaternion as quat
@@ -186,7 +187,11 @@ def mass_matrix(backend: Backend, q: ArrayLike) -> Array:
     Args:
         backend: the robot.
         q: (nq,).
+
+    Raises:
+        InputError: a moving body has no inertia.
     """
+    check_inertia(backend.robot)
     data = mjx.fwd_position(backend.model, _at(backend, q))
     return mjx.full_m(backend.model, data)
 
@@ -198,7 +203,11 @@ def bias_force(backend: Backend, q: ArrayLike, v: ArrayLike) -> Array:
         backend: the robot.
         q: (nq,).
         v: (nv,).
+
+    Raises:
+        InputError: a moving body has no inertia.
     """
+    check_inertia(backend.robot)
     data = mjx.fwd_velocity(backend.model, mjx.fwd_position(backend.model, _at(backend, q, v)))
     return data.qfrc_bias
 
@@ -213,7 +222,11 @@ def step(backend: Backend, state: State, torque: ArrayLike) -> tuple[State, dict
 
     Returns:
         The next state, and what the model's sensors read at the given one.
+
+    Raises:
+        InputError: a moving body has no inertia.
     """
+    check_inertia(backend.robot)
     data = _at(backend, state.q, state.v).replace(qfrc_applied=jnp.asarray(torque))
     after = mjx.step(backend.model, data)
     read = after.sensordata
@@ -233,6 +246,9 @@ def rollout(backend: Backend, state: State, torques: ArrayLike) -> Rollout:
 
     Returns:
         States and sensors after each step; batch over states and torques with `jax.vmap`.
+
+    Raises:
+        InputError: a moving body has no inertia.
     """
 
     def advance(state: State, torque: Array) -> tuple[State, Rollout]:

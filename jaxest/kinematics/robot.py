@@ -100,7 +100,7 @@ class Robot:
     gravity: Leaf
     """(3,) m/s2, in the world."""
     armature: Leaf
-    """(nv,) kg m2 (kg for slides), rotor inertia added to the mass matrix."""
+    """(nv,) kg m2 (kg for slides), inertia of rotors at the joint, added to the mass matrix."""
     damping: Leaf
     """(nv,) N m s (N s/m for slides)."""
     friction_loss: Leaf

@@ -253,6 +253,84 @@ def test_inertias_that_no_matter_has_are_used_as_given():
     assert "kinematics only: no inertia for 1 bodies (nothing)" in robot.notes
 
 
+def test_a_frame_without_mass_at_the_tip_leaves_the_dynamics():
+    """As `tool0` of many arms: only a joint that would move nothing has none."""
+    tool = f'<link name="tool">{inertial(0, (0, 0, 0, 0))}</link>'
+    robot = kinematics.load(urdf(link("a"), link("b"), tool, joint("j", "a", "b"), joint("k", "b", "tool", "fixed")))
+    assert robot.topology.massless == ()
+    assert np.isfinite(kinematics.mass_matrix(robot, np.zeros(1))).all()
+
+
+def compiled_alike(text):
+    """The masses and inertias are MuJoCo's own."""
+    robot, model = kinematics.load(text), mujoco.MjModel.from_xml_string(text)
+    np.testing.assert_allclose(robot.body_mass, model.body_mass[1:])
+    for body, inertia in enumerate(robot.body_inertia):
+        np.testing.assert_allclose(np.linalg.eigvalsh(inertia), np.sort(model.body_inertia[body + 1]), rtol=1e-9)
+    return robot
+
+
+def mjcf(body, options="", rest=""):
+    return f"<mujoco>{options}<worldbody>{body}</worldbody>{rest}</mujoco>"
+
+
+FLAT = '<inertial pos="0 0 0.1" mass="3" diaginertia="1 1 3"/>'
+
+
+def test_the_compiler_may_replace_inertias_that_no_matter_has():
+    body = f'<body name="a"><joint/>{FLAT}<geom size="0.1"/></body>'
+    for option in ('balanceinertia="true"', 'inertiafromgeom="true"'):
+        assert compiled_alike(mjcf(body, f"<compiler {option}/>")).notes == ()
+
+
+def test_nameless_bodies_may_have_inertias_that_no_matter_has():
+    robot = kinematics.load(mjcf(f"<body><joint/>{FLAT}<body><joint/>{FLAT}</body></body>"))
+    assert robot.frame_names == ("body1", "body2")
+    np.testing.assert_allclose(np.linalg.eigvalsh(robot.body_inertia[1]), [1, 1, 3])
+
+
+def test_a_total_mass_counts_what_the_file_says():
+    """Not the stand-ins that MuJoCo is given for what it refuses."""
+    body = '<body name="a"><joint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
+    robot = kinematics.load(mjcf(f'{body}<body name="b"><joint/>{FLAT}</body>', '<compiler settotalmass="8"/>'))
+    np.testing.assert_allclose(robot.body_mass, [2, 6])
+    np.testing.assert_allclose(np.linalg.eigvalsh(robot.body_inertia[1]), [2, 2, 6])
+
+
+def test_meshes_of_an_attached_model_are_looked_for_beside_it(tmp_path):
+    (tmp_path / "arm" / "m").mkdir(parents=True)
+    corner = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    (tmp_path / "arm" / "m" / "hand.obj").write_text(corner)
+    hand = '<body name="hand"><joint/><geom type="mesh" mesh="hand"/></body>'
+    (tmp_path / "arm" / "arm.xml").write_text(
+        mjcf(hand, '<compiler meshdir="m"/><asset><mesh name="hand" file="hand.obj"/></asset>')
+    )
+    attach = '<body name="base"><attach model="arm" body="hand" prefix="my_"/></body>'
+    (tmp_path / "robot.xml").write_text(
+        mjcf(attach, '<asset><model name="arm" file="arm/arm.xml"/></asset>').replace("<mujoco>", '<mujoco model="r">')
+    )
+    robot = kinematics.load(tmp_path / "robot.xml")
+    assert robot.notes == ()
+    np.testing.assert_allclose(robot.body_mass, [0, 1000 / 6], rtol=1e-6)
+
+
+def test_what_acts_beyond_the_joints_is_taken_along_or_said():
+    joints = "".join(
+        f'<body name="{n}" {more}><joint name="{n}" axis="0 1 0"/><geom size=".1" mass="1"/></body>'
+        for n, more in (("a", ""), ("b", 'gravcomp="1"'))
+    )
+    springs = '<tendon><fixed name="t" stiffness="1"><joint joint="a" coef="1"/></fixed></tendon>'
+    closed = '<equality><connect body1="a" body2="b" anchor="0 0 0"/></equality>'
+    motor = '<actuator><general joint="a" gear="3" armature=".5" damping=".2"/></actuator>'
+    robot = kinematics.load(mjcf(joints, rest=springs + closed + motor))
+    assert robot.notes == (
+        "left out: 1 constraints (connect), so that closed loops are open; 1 tendons' springs, dampers and inertias; "
+        "1 bodies' gravity compensation",
+    )
+    np.testing.assert_allclose(robot.armature, [4.5, 0])
+    np.testing.assert_allclose(robot.damping, [1.8, 0])
+
+
 def test_what_is_no_source():
     with pytest.raises(ValueError, match="source: got int, expected a path"):
         kinematics.load(3)

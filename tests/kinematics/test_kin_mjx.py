@@ -53,6 +53,19 @@ def test_agrees_with_ours_and_with_c(name, x64):
     np.testing.assert_allclose(bias, data.qfrc_bias, atol=1e-10)
 
 
+def test_a_robot_without_inertias_has_no_dynamics_here_either():
+    """The engine has stand-ins of 1 kg, which must not be taken for the robot's."""
+    backend = mjx.build('<mujoco><worldbody><body name="a"><joint name="j"/></body></worldbody></mujoco>')
+    state = mjx.State(jnp.zeros(1), jnp.zeros(1))
+    for call in (
+        lambda: mjx.mass_matrix(backend, state.q),
+        lambda: mjx.bias_force(backend, *state),
+        lambda: mjx.step(backend, state, jnp.zeros(1)),
+    ):
+        with pytest.raises(InputError, match=r"no inertia for 1 moving bodies \(a\)"):
+            call()
+
+
 ACCELEROMETER = '<sensor><accelerometer name="felt" site="imu3"/><gyro name="turn" site="imu3"/></sensor></mujoco>'
 
 
