@@ -247,8 +247,8 @@ def test_bad_sensors_are_named():
         ("joint_angle", sensors.joint_angle.Params(1.0, np.nan), "offset is nan, expected finite numbers"),
         ("link_position", sensors.link_position.Params(np.array([1.0, 0, 1])), "variance is .*, expected positive"),
         ("link_orientation", sensors.link_orientation.Params(mounting=np.ones(4)), "mounting is .*unit quaternion"),
-        ("link_orientation", sensors.link_orientation.Params(mounting=np.array([0, 0, 1.0])), "mounting is .*unit quat"),
-        ("link_orientation", sensors.link_orientation.Params(np.array([0.0, 5, 0, 0])), "lam is .*none above the first$"),
+        ("link_orientation", sensors.link_orientation.Params(mounting=np.array([0, 0, 1.0])), "mounting is .*unit"),
+        ("link_orientation", sensors.link_orientation.Params(np.array([0.0, 5, 0, 0])), "lam is .*above the first$"),
         ("end_effector_pose", PARAMS["end_effector_pose"]._replace(
             position=sensors.link_position.Params(np.array([1.0, -1, 1]))), "position: variance"),
     ],
