@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from jaxest import kinematics
+from jaxest.cli.methods import torque_series
 from jaxest.io import SensorLog, Stream, read, write
 from jaxest.systems import torque
+from jaxest.types import InputError
 
 PENDULUM = """<mujoco><worldbody><body name="link"><joint name="hinge" axis="0 1 0"/><geom type="capsule"
 fromto="0 0 0 0 0 -.5" size=".02" mass="1"/></body></worldbody></mujoco>"""
@@ -116,6 +118,25 @@ def test_robots_and_logs_that_cannot_be(refused, ready, tmp_path):
     holes[7] = np.nan
     write(SensorLog({"q": whole.streams["q"]._replace(value=holes)}), tmp_path / "holes.npz")
     assert "row 7, column 0 is NaN" in refused("estimate", "holes.npz", *WORDS[2:])
+
+
+def test_a_known_torque_is_not_made_up_where_it_is_not_known():
+    """It ends before the angles do, or holds NaN that nobody allowed."""
+    time = np.arange(100) / 100
+    angles = Stream(time, np.sin(time)[:, None], "rad")
+
+    def taken(nan="error", **known):
+        log = SensorLog({"q": angles, "motor": Stream(**known)})
+        return torque_series.series(log, {"feedforward": "motor"}, ("hinge",), nan).feedforward
+
+    late = time[:-1] + 0.004  # another clock, half a sample short: its last value is held
+    np.testing.assert_allclose(taken(time=late, value=10 * late[:, None])[1:-1, 0], 10 * time[1:-1], atol=1e-9)
+    with pytest.raises(InputError, match=r"'motor': covers 0.000 to 0.490 s, the angles 0.000 to 0.990 s"):
+        taken(time=time[:50], value=np.zeros((50, 1)))
+    holes = np.where(time[:, None] == time[7], np.nan, 10 * time[:, None])
+    with pytest.raises(InputError, match=r"row 7 at 0.070000 s is not finite"):
+        taken(time=time, value=holes)
+    np.testing.assert_allclose(taken("missing", time=time, value=holes)[:, 0], 10 * time, atol=1e-9)
 
 
 def test_pieces_are_for_methods_that_have_them(refused, ready):

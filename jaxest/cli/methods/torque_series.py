@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.io import SensorLog, Stream
-from jaxest.io.log import stream, where
+from jaxest.io.log import refuse_nan, stream, where
 from jaxest.types import InputError, unknown_name
 
 ANGLES = ("joint_position", "joints", "positions", "q")
 MOST = 20000
+SLACK = 2.0  # of its own steps that a known torque may begin late or end early
 
 
 class Series(NamedTuple):
@@ -67,11 +68,11 @@ def series(log: SensorLog, settings: Mapping[str, Any], joints: tuple[str, ...],
     if len(time) > MOST:
         raise InputError(f"{where(log)}stream {name!r}: {len(time)} steps, expected at most {MOST}; take --start and "
                          "--end, or [torque] every")  # fmt: skip
-    known = _torque(log, settings, "feedforward", time, joints)
+    known = _torque(log, settings, "feedforward", time, joints, nan)
     valid = np.isfinite(value)
     notes = [f"{len(time)} steps of {name}"] + ([f"{bridged} steps bridge gaps"] if bridged else [])
     return Series(time, np.where(valid, value, 0), valid, np.zeros_like(value) if known is None else known,
-                  _torque(log, settings, "compare", time, joints), notes)  # fmt: skip
+                  _torque(log, settings, "compare", time, joints, nan), notes)  # fmt: skip
 
 
 def _columns(log: SensorLog, name: str, item: Stream, joints: tuple[str, ...]) -> NDArray[np.float64]:
@@ -100,15 +101,25 @@ def _even(time: NDArray[np.float64], value: NDArray[np.float64]) -> tuple[NDArra
 
 
 def _torque(
-    log: SensorLog, settings: Mapping[str, Any], key: str, time: NDArray[np.float64], joints: tuple[str, ...]
+    log: SensorLog, settings: Mapping[str, Any], key: str, time: NDArray[np.float64], joints: tuple[str, ...], nan: str
 ) -> NDArray[np.float64] | None:
+    """A torque of the log at the angles' times, (T, n) N m; nothing is made up before its first and after its last."""
     if key not in settings:
         return None
     name = settings[key]
     if name not in log.streams:
         raise unknown_name(f"[torque] {key}: stream", name, log.streams)
-    item = stream(log, name)
+    item, place = stream(log, name), f"{where(log)}stream {name!r}"
+    if nan == "error":
+        refuse_nan(item, place, 'nan = "missing" in a config')
     value = _columns(log, name, item, joints)
     good = np.isfinite(value).all(axis=1)
-    columns = [np.interp(time, np.asarray(item.time)[good], value[good, j]) for j in range(len(joints))]
-    return np.stack(columns, axis=1)
+    known = item.time[good]
+    slack = SLACK * float(np.median(np.diff(item.time))) if len(item.time) > 1 else 0.0
+    if not len(known) or known[0] > time[0] + slack or known[-1] < time[-1] - slack:
+        covered = f"covers {known[0]:.3f} to {known[-1]:.3f} s" if len(known) else "holds no number"
+        raise InputError(
+            f"{place}: {covered}, the angles {time[0]:.3f} to {time[-1]:.3f} s; expected a torque for all of them, or "
+            "take --start and --end"
+        )
+    return np.stack([np.interp(time, known, value[good, j]) for j in range(len(joints))], axis=1)
