@@ -152,6 +152,7 @@ def errors(robot: Any, recorded: Simulated, found: Estimated) -> "list[Row]":
 
     from jaxest import kinematics
     from jaxest.io.report import Row
+    from jaxest.metrics import circular_error
 
     tip = jax.jit(jax.vmap(lambda q: kinematics.forward(robot, q, [TIP]).position[0]))
     naive, truth = np.asarray(recorded.measurements.encoders.value, np.float64), recorded.angles
@@ -160,12 +161,12 @@ def errors(robot: Any, recorded: Simulated, found: Estimated) -> "list[Row]":
         value, reference = (float(np.sqrt(np.mean(x**2))) for x in (mine, other))
         return Row(metric, "estimate", value, unit, None, len(mine), reference, "encoders alone", reference / value)
 
-    mine, other = (np.rad2deg(_wrapped(q - truth)) for q in (found.mean, naive))
+    mine, other = (np.rad2deg(circular_error(q, truth)) for q in (found.mean, naive))
     rows = [row(f"{name}: RMSE", mine[:, j], other[:, j], "deg") for j, name in enumerate(robot.joint_names)]
     here, there, true = (np.asarray(tip(jnp.asarray(q, jnp.float32)), np.float64) for q in (found.mean, naive, truth))
     far, further = (1e3 * np.linalg.norm(x - true, axis=1) for x in (here, there))
     rows.append(row("hand position: RMSE", far, further, "mm"))
-    away = _wrapped(truth - found.mean)
+    away = circular_error(truth, found.mean)
     inside = (away >= found.lower - found.mean) & (away <= found.upper - found.mean)
     rows.append(Row("truth inside the 95 % band", "estimate", 100 * float(inside.mean()), "%", None, inside.size))
     return rows
@@ -187,12 +188,6 @@ def draw(path: Path, recorded: Simulated, found: Estimated, names: "tuple[str, .
     time = np.arange(len(found.mean)) / RATE
     joints.draw(path, time, *found, names=names, reference=np.asarray(recorded.measurements.encoders.value),
                 truth=recorded.angles, title="jaxest demo: an arm that sags, simulated")  # fmt: skip
-
-
-def _wrapped(x: "NDArray[Any]") -> "NDArray[Any]":
-    import numpy as np
-
-    return np.asarray((x + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _picture(out: Path, force: bool) -> Path | None:

@@ -28,7 +28,6 @@ PULLEYS = (0.005, 0.0086, 0.014)  # m, lever of the tendon at q1, q2, q3
 DISKS = {0.0245: 0.046, 0.0325: 0.050, 0.0415: 0.042}
 """Radius of each disk of Table I and how far above the palm its centre is held, m."""
 THICKNESS = 0.036  # m, of the disks
-MM = 1e-3
 
 
 class Scene(NamedTuple):

@@ -221,7 +221,7 @@ def cast(
 
 
 def _between(model: Any, q: NDArray[np.float64], time: NDArray[np.float64], step: int, late: float) -> Any:
-    """The configuration `late` seconds before a sample, linear between samples; quaternions as they were."""
+    """The configuration `late` seconds before a sample, linear between samples; MuJoCo normalises quaternions."""
     if late == 0 or step == 0:
         return q[step]
     share = late / (time[step] - time[step - 1])

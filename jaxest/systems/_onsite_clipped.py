@@ -35,7 +35,7 @@ def without_clipped(measurements: Pair) -> Pair:
 
 
 def _flat(value: NDArray[Any]) -> NDArray[np.bool_]:
-    """Rows within a per mille of an axis' extreme, if there are several in a row."""
+    """Rows within a millionth of an axis' span of its extreme, if there are three in a row."""
     span = np.ptp(value, axis=0)
     near = np.minimum(np.abs(value - value.max(axis=0)), np.abs(value - value.min(axis=0))) < 1e-6 * span
     runs = near[2:] & near[1:-1] & near[:-2]

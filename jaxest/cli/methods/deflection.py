@@ -174,14 +174,14 @@ def _rows(
     for what, other in (("from the reading, RMS", reference), (f"error to {known}, RMS", truth)):
         if other is None:
             continue
-        away = deflection_joints.wrapped(joints, found.mean - other)
+        away = deflection_joints.away(joints, found.mean, other)
         for j, (name, unit, scale) in enumerate(joints.coordinates[: away.shape[1]]):
             there = np.isfinite(away[:, j])
             if there.any():
                 size = scale * float(np.sqrt(np.mean(away[there, j] ** 2)))
                 rows.append(Row(what, name, size, unit, n=int(there.sum())))
     if truth is not None:
-        away = deflection_joints.wrapped(joints, truth - found.mean)
+        away = deflection_joints.away(joints, truth, found.mean)
         count = away.shape[1]
         inside = (away >= found.lower[:, :count]) & (away <= found.upper[:, :count])
         there = np.isfinite(away)

@@ -89,9 +89,11 @@ def streams(joints: Joints, time: NDArray[np.float64], found: Any) -> dict[str, 
     return written
 
 
-def wrapped(joints: Joints, difference: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bring differences (T, c) of angles into [-pi, pi); those of ways stay."""
-    return np.where(joints.hinges, (difference + np.pi) % (2 * np.pi) - np.pi, difference)
+def away(joints: Joints, one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return one less another's coordinates (T, c): angles on the circle, ways as they are."""
+    from jaxest.metrics import circular_error
+
+    return np.where(joints.hinges, circular_error(one, other), one - other)
 
 
-__all__ = ["KINDS", "Joints", "chosen", "streams", "wrapped"]
+__all__ = ["KINDS", "Joints", "away", "chosen", "streams"]

@@ -13,6 +13,7 @@ from jaxest.cli.truth import joints
 from jaxest.io import SensorLog, Stream, ticks, to_si
 from jaxest.io.log import refuse_nan, stream, where
 from jaxest.io.report import Row
+from jaxest.metrics import circular_error
 from jaxest.types import NON_FINITE, InputError, Reading, unknown_name
 
 KINDS = ("gyroscope", "accelerometer", "magnetometer")
@@ -269,7 +270,7 @@ def _rows(
         condition = name if np.median(known[:, k]) >= SURE else f"{name}, not observed"
         rows.append(Row("standard deviation", condition, deviation, "deg", n=len(time)))
         if truth is not None and np.isfinite(truth[:, k]).any():
-            error = (mean[:, k] - truth[:, k] + np.pi) % (2 * np.pi) - np.pi
+            error = circular_error(mean[:, k], truth[:, k])
             size = float(np.rad2deg(np.sqrt(np.nanmean(error**2))))
             rows.append(Row("error to joints, RMS", condition, size, "deg", n=int(np.isfinite(error).sum())))
     return rows

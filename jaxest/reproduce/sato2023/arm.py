@@ -191,11 +191,6 @@ def ends(q: NDArray[Any]) -> Ends:
     return Ends(np.asarray(frames.position[:, 0], float), np.asarray(frames.quaternion[:, 0], float))
 
 
-def wrapped(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bring differences of angles, rad, into [-pi, pi)."""
-    return (x + np.pi) % (2 * np.pi) - np.pi
-
-
 def rms(x: NDArray[np.float64]) -> float:
     """Return the root of the mean square."""
     return float(np.sqrt(np.mean(np.square(x))))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.io.report import Row
+from jaxest.metrics import circular_error
 from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.sato2023 import arm
 from jaxest.sensors import link_orientation
@@ -81,7 +82,7 @@ def _yawed(half: NDArray[np.float64], q: NDArray[Any]) -> NDArray[Any]:
 
 
 def _rows(condition: str, scenes: list[arm.Scene], found: list[arm.Result]) -> list[Row]:
-    error = [np.rad2deg(arm.wrapped(r.mean - s.angles)) for s, r in zip(scenes, found, strict=True)]
+    error = [np.rad2deg(circular_error(r.mean, s.angles)) for s, r in zip(scenes, found, strict=True)]
     figures = (
         ("yaw RMSE", [arm.rms(e[:, 0]) for e in error]),
         ("joints RMSE", [arm.rms(e) for e in error]),

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from jaxest.io.report import Row
+from jaxest.metrics import circular_error
 from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.sato2023 import arm
 from jaxest.viz import canvas
@@ -57,10 +58,10 @@ def fig6(choice: Choice, say: Say) -> Section:
 
 def rows_of(name: str, scenes: list[arm.Scene], found: list[arm.Result]) -> list[Row]:
     """Return error and half width of the interval for each joint, coverage and effective sample size over the runs."""
-    error = [np.rad2deg(arm.wrapped(r.mean - s.angles)) for s, r in zip(scenes, found, strict=True)]
+    error = [np.rad2deg(circular_error(r.mean, s.angles)) for s, r in zip(scenes, found, strict=True)]
     width = [np.rad2deg(r.upper - r.lower) / 2 for r in found]
-    inside = [100 * np.mean((arm.wrapped(s.angles - r.mean) <= r.upper - r.mean)
-                            & (arm.wrapped(s.angles - r.mean) >= r.lower - r.mean))
+    inside = [100 * np.mean((circular_error(s.angles, r.mean) <= r.upper - r.mean)
+                            & (circular_error(s.angles, r.mean) >= r.lower - r.mean))
               for s, r in zip(scenes, found, strict=True)]  # fmt: skip
     lines = []
     for joint, label in enumerate(arm.JOINTS):

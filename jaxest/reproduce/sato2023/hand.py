@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.io.report import Row
+from jaxest.metrics import circular_error
 from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.sato2023 import arm
 from jaxest.systems import deflection, direct_fusion
@@ -91,7 +92,7 @@ def fig9(choice: Choice, say: Say) -> Section:
     rows = []
     for name, q in found.items():
         error = heights[name] - truth
-        pitch = np.rad2deg(arm.wrapped(q - scene.angles)[:, 1:3])
+        pitch = np.rad2deg(circular_error(q, scene.angles)[:, 1:3])
         rows.append(Row("EE height RMSE", name, 1e3 * arm.rms(error), "mm", n=len(error)))
         rows.append(Row("EE height, worst", name, 1e3 * float(np.abs(error).max()), "mm", n=len(error),
                         reference_name=LOCKED.get(name)))  # fmt: skip

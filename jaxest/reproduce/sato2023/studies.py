@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from jaxest.io.report import Row
+from jaxest.metrics import circular_error
 from jaxest.reproduce import Choice, Say, Section
 from jaxest.reproduce.sato2023 import arm
 from jaxest.sensors import joint_angle, link_orientation, link_position
@@ -43,7 +44,7 @@ def particles(choice: Choice, say: Say) -> Section:
         say(f"{count} particles, {name}")
         chosen = arm.system(count, propose)
         found = [arm.estimate(arm.using(s, WITH_IMUS), choice.seed + i, chosen) for i, s in enumerate(scenes)]
-        away = [np.rad2deg(arm.wrapped(r.mean - s.angles)) for s, r in zip(scenes, found, strict=True)]
+        away = [np.rad2deg(circular_error(r.mean, s.angles)) for s, r in zip(scenes, found, strict=True)]
         error, part = [arm.rms(e) for e in away], [arm.rms(e[:, SEEN]) for e in away]
         share = [100 * float(np.mean(r.ess)) / count for r in found]
         errors[name, count], seen[name, count] = float(np.mean(error)), float(np.mean(part))
@@ -52,7 +53,7 @@ def particles(choice: Choice, say: Say) -> Section:
                         float(np.std(part)), runs))  # fmt: skip
         rows.append(Row("effective share of particles", f"N = {count}, {name}", float(np.mean(share)), "%",
                         float(np.std(share)), runs))  # fmt: skip
-    naive = np.rad2deg(arm.wrapped(scenes[0].reference - scenes[0].angles))
+    naive = np.rad2deg(circular_error(scenes[0].reference, scenes[0].angles))
     for what, found_errors, bound in (
         ("all joints", errors, arm.rms(naive)),
         ("shoulder and elbow", seen, arm.rms(naive[:, SEEN])),
@@ -104,7 +105,7 @@ def hyperparameters(choice: Choice, say: Say) -> Section:
     for name, chosen, given in cases:
         say(f"hyperparameters: {name}")
         found = [arm.estimate(arm.using(s, ALL), choice.seed + i, chosen, given) for i, s in enumerate(scenes)]
-        error = [np.rad2deg(arm.wrapped(r.mean - s.angles)) for s, r in zip(scenes, found, strict=True)]
+        error = [np.rad2deg(circular_error(r.mean, s.angles)) for s, r in zip(scenes, found, strict=True)]
         width = np.mean([np.rad2deg(r.upper - r.lower).mean(axis=0) / 2 for r in found], axis=0)
         jitter = [arm.rms(np.diff(e, axis=0)) / np.sqrt(2) for e in error]
         widths[name] = width
