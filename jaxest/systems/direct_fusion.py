@@ -80,7 +80,9 @@ def angle_between(parent: ArrayLike, child: ArrayLike, axis: ArrayLike) -> Array
     """
     between = quat.compose(quat.inverse(as_array("parent", parent, 4)), as_array("child", child, 4))
     along = jnp.sum(between[1:] * jnp.asarray(axis, between.dtype))
-    size = jnp.sqrt(jnp.sum(between[1:] * between[1:]))
+    square = jnp.sum(between[1:] * between[1:])
+    turned = square > 0  # the root's slope is infinite at no turn
+    size = jnp.where(turned, jnp.sqrt(jnp.where(turned, square, 1)), 0)
     sign = jnp.where(between[0] * along < 0, -1, 1).astype(between.dtype)
     return 2 * sign * jnp.arctan2(size, jnp.abs(between[0]))
 

@@ -52,3 +52,11 @@ def test_one_order_locks_where_a_link_lies_beyond_the_horizontal_and_the_other_d
 def test_negative_angles_keep_their_sign(orientations):
     q = jnp.array([-0.3, -0.8, -0.5, 0.0])
     assert np.allclose(df.fuse(q, orientations(q), HINGES), q, atol=1e-5)
+
+
+def test_links_in_line_have_a_finite_gradient():
+    """Where nothing is turned the angle has a corner: its slope there is 0, not NaN."""
+    level = np.array([1.0, 0, 0, 0])
+    value, slope = jax.value_and_grad(lambda q: df.angle_between(level, q, [0, 1, 0]))(level)
+    assert value == 0
+    assert np.isfinite(slope).all()
