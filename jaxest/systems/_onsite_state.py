@@ -107,7 +107,7 @@ class Info(NamedTuple):
     done: Array
     """() bool, whether two standard deviations (root of the trace) are below 5 mm and 0.1 deg."""
     status: Array
-    """() int32, `OK`, `NON_FINITE`, or `OUT_OF_RANGE` (state as before)."""
+    """() int32, `OK` or `NON_FINITE`, also of readings beyond 7000 rad/s or m/s2 in float32 (7e30 in float64)."""
 
 
 _SHAPES = ((), (6,), (6, 6), (3, 3), (3,), (3,), (9,), (3, 12), (), (), ())

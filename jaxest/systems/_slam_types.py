@@ -141,7 +141,7 @@ class Info(NamedTuple):
     overflow: Array
     """() int32, points so far that found no room in it."""
     status: Array
-    """() int32, `OK`, `NON_FINITE`, `NOT_CONVERGED`, `LOST` or `FULL`."""
+    """() int32, `OK`, `NON_FINITE`, `NOT_CONVERGED`, `LOST`, `FULL`, or `OUT_OF_RANGE` (belief as before)."""
 
 
 __all__ = ["FOLLOWS", "FULL", "LOST", "UNSEEN", "Fixed", "Free", "Info", "Params", "State"]

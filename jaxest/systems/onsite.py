@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from jaxest.filters import bingham_linear, rls
 from jaxest.filters import savitzky_golay as sg
-from jaxest.filters._small import applied, eigen4, eye, held, largest, trace, transposed, turned_back, within_range
+from jaxest.filters._small import applied, eigen4, eye, held, largest, trace, transposed, turned_back
 from jaxest.manifolds import quaternion as quat
 from jaxest.systems import _onsite_covariance as unknown
 from jaxest.systems import _onsite_window as win
@@ -88,7 +88,8 @@ def step(
                 f"measurement, {name}: got shapes {shapes[0]} and {shapes[1]} for value and valid, {shapes[2]} for "
                 "dt, expected (3,), () and (); vmap or run adds other axes"
             )
-    return within_range(state, *_one_or_many(degree, plain)(params, state, measurement))
+    found: tuple[State, Info] = _one_or_many(degree, plain)(params, state, measurement)
+    return found
 
 
 @functools.cache
@@ -137,11 +138,12 @@ def _push(params: Params, memory: Memory, measurement: Pair) -> tuple[tuple[sg.S
     dt = jnp.asarray(measurement.dt, dtype)
     timed = jnp.isfinite(dt)
     step = jnp.where(timed, dt, 0)
+    largest = float(jnp.finfo(dtype).max) ** 0.1  # 7000 rad/s, m/s2 in float32: what larger readings make outgrows it
 
     def push(window: sg.State, gyro: Reading, acc: Reading, bias: ArrayLike) -> tuple[sg.State, Array]:
         rate, force = (jnp.asarray(x.value, dtype) for x in (gyro, acc))
         flags = [jnp.asarray(x.valid, bool) for x in (gyro, acc)]
-        finite = [jnp.all(jnp.isfinite(x), axis=0) for x in (rate, force)]
+        finite = [jnp.all(jnp.abs(x) < largest, axis=0) for x in (rate, force)]
         there = flags[0] & flags[1] & finite[0] & finite[1] & timed
         value = jnp.concatenate([rate - jnp.asarray(bias, dtype), force])
         broken = (flags[0] & ~finite[0]) | (flags[1] & ~finite[1])

@@ -94,7 +94,7 @@ class Info(NamedTuple):
     valid: Array
     """() bool, whether every link is determined."""
     status: Array
-    """() int32, `OK`, `NON_FINITE`, or `OUT_OF_RANGE` (state as before)."""
+    """() int32, `OK` or `NON_FINITE`, as for a pair."""
 
 
 def build(assembly: Assembly, sensors: None = None, *, half_width: int = 7, degree: int = 3, lag: int = 20) -> System:

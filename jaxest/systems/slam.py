@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest.filters._small import within_range
 from jaxest.filters.kalman.gaussian import product, symmetric
 from jaxest.filters.kalman.model import clean
 from jaxest.kinematics import Robot
@@ -133,8 +134,10 @@ def _step(
     carry = rebased(carry, 0.0)
     info = _info(body, config, params, carry, seen, reading, noise, broken, state.chart)
     pace = _pace(state.mean, carry.mean, measurement.dt) if body.root is not None else state.pace
-    usual = _usual(state, seen)
-    return State(carry.mean, carry.covariance, carry.chart, reading, pace, usual, state.index + 1), info
+    after = State(carry.mean, carry.covariance, carry.chart, reading, pace, _usual(state, seen), state.index + 1)
+    # The map keeps what it was given: it takes no point of a link that is not known well.
+    belief, info = within_range(state._replace(chart=None), after._replace(chart=None), info)  # type: ignore[arg-type]
+    return belief._replace(chart=carry.chart), info
 
 
 def _predict(body: Body, params: Params, state: State, measurement: Any) -> tuple[Mean, Array, Array]:

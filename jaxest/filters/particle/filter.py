@@ -192,8 +192,8 @@ def _balanced(manifold: Manifold, mean: PyTree, foresight: _Foresight, chosen: R
 
 
 def settled(before: PyTree, moved: PyTree, increments: Array) -> tuple[PyTree, Array]:
-    """Put particles that are not finite back where they came from, without weight: 0 times NaN is NaN."""
-    finite = jnp.ones(increments.shape, bool)
+    """Put particles that are not finite, or whose weight is not, back where they came from, without one."""
+    finite = ~jnp.isnan(increments) & (increments < jnp.inf)
     for leaf in jax.tree.leaves(moved):
         finite = finite & jnp.all(jnp.isfinite(leaf), axis=tuple(range(1, leaf.ndim)))
 
