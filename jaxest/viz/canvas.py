@@ -63,4 +63,12 @@ def plain(axis: Any, **labels: str) -> Any:
     return axis
 
 
-__all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "RED", "plain", "save", "sheet", "write"]
+def legend(figure: Any, axis: Any, **options: Any) -> None:
+    """Say once, above all panels on the right, what the lines of a panel are."""
+    handles, labels = axis.get_legend_handles_labels()
+    figure.legend(
+        handles, labels, **{"loc": "upper right", "ncols": len(labels), "fontsize": 8, "frameon": False, **options}
+    )
+
+
+__all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "RED", "legend", "plain", "save", "sheet", "write"]

@@ -44,12 +44,12 @@ def fig10(choice: Choice, say: Say) -> Section:
         axes = figure.subplots(2, len(KINDS), sharex=True, sharey="row", squeeze=False)
         label = "bootstrap, N = 2048"
         for column, kind in enumerate(KINDS):
-            canvas.plain(axes[0, column], title=f"{kind}, {DRIFTS[1]:g} deg/s of drift")
+            canvas.plain(axes[0, column], title=kind)
             for speed, colour in zip(DRIFTS, (canvas.GREY, canvas.BLUE), strict=True):
                 for joint in (0, 1):
                     axes[joint, column].plot(
                         scenes[0].time, np.rad2deg(shown[label, kind, speed].mean[:, joint]), color=colour,
-                        linewidth=0.9, label=f"{speed:g} deg/s",
+                        linewidth=0.9 if speed else 2.4, label=f"drift {speed:g} deg/s",
                     )  # fmt: skip
             for joint in (0, 1):
                 axes[joint, column].plot(scenes[0].time, np.rad2deg(scenes[0].angles[:, joint]), color=canvas.RED,
@@ -57,7 +57,7 @@ def fig10(choice: Choice, say: Say) -> Section:
             canvas.plain(axes[1, column], xlabel="time [s]")
         axes[0, 0].set_ylabel("yaw [deg]")
         axes[1, 0].set_ylabel("shoulder [deg]")
-        axes[0, 0].legend(fontsize=8, frameon=False)
+        canvas.legend(figure, axes[0, 0])
 
     title = "Fig. 10: yaw drift of the IMUs"
     return Section("fig10", title, rows, lambda path: canvas.save(path, (10, 6), paint, title))

@@ -50,7 +50,7 @@ def fig6(choice: Choice, say: Say) -> Section:
                 if not column:
                     axis.set_ylabel(f"{label} [deg]")
             axes[-1, column].set_xlabel("time [s]")
-        axes[0, 0].legend(fontsize=7, frameon=False)
+        canvas.legend(figure, axes[0, 0])
 
     title = "Fig. 6: combinations of sensors, bootstrap filter, 2048 particles"
     return Section("fig6", title, rows, lambda path: canvas.save(path, (14, 8), paint, title))

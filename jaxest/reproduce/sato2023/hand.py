@@ -55,7 +55,11 @@ def fig8(choice: Choice, say: Say) -> Section:
             axes[1].plot(scene.time, np.rad2deg(angle), color=colour, linewidth=1)
         for axis, label in zip(axes, ("position error [mm]", "orientation error [deg]"), strict=True):
             canvas.plain(axis, ylabel=label).axvspan(*arm.DESK, color=canvas.RED, alpha=0.1, linewidth=0)
-        axes[0].legend(fontsize=8, frameon=False)
+        later = scene.time > 1  # the first second, when nothing is known yet, would flatten the rest
+        worst = np.max([[1e3 * d[later].max(), np.rad2deg(a[later].max())] for d, a in gaps.values()], axis=0)
+        for axis, top in zip(axes, worst, strict=True):
+            axis.set(xlim=(0, scene.time[-1]), ylim=(0, 1.1 * top))
+        canvas.legend(figure, axes[0])
         axes[1].set_xlabel("time [s]; shaded: against the desk")
 
     title = "Fig. 8: error of the end effector, through a collision with a desk"
@@ -105,7 +109,7 @@ def fig9(choice: Choice, say: Say) -> Section:
         for (name, height), colour in zip(heights.items(), colours, strict=True):
             axes[0].plot(scene.time, height, color=colour, linewidth=1, label=name)
         axes[0].plot(scene.time, truth, color="black", linewidth=0.7, linestyle="--", label="truth")
-        axes[0].legend(fontsize=8, frameon=False, ncols=2)
+        axes[0].legend(loc="lower right", bbox_to_anchor=(1, 1), fontsize=8, frameon=False, ncols=6)
         canvas.plain(axes[1], ylabel="reference [deg]", xlabel="time [s]")
         for joint, label in enumerate(arm.JOINTS):
             axes[1].plot(scene.time, np.rad2deg(scene.reference[:, joint]), label=label)

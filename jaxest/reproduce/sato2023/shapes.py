@@ -74,10 +74,12 @@ def _spheres(figure: Any, drawn: dict[tuple[str, float], NDArray[np.float64]]) -
         )
         for ends, colour, name in zip(columns, (canvas.RED, canvas.GREEN, canvas.BLUE), "xyz", strict=True):
             axis.scatter(*ends, s=2, color=colour, label=name)
-        axis.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1), title=f"{kind}, $\\lambda$ = -{size:g}")
+        ticks = (-1, 0, 1)
+        axis.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1), xticks=ticks, yticks=ticks, zticks=ticks)
+        axis.set_title(f"{kind}, $\\lambda$ = -{size:g}", fontsize=11)
         axis.set_box_aspect((1, 1, 1))
-        axis.tick_params(labelsize=6)
-    figure.axes[0].legend(markerscale=4, fontsize=8, loc="upper left")
+        axis.tick_params(labelsize=7)
+    canvas.legend(figure, figure.axes[0], markerscale=5)
 
 
 def fig2(choice: Choice, say: Say) -> Section:
@@ -145,13 +147,13 @@ def fig3(choice: Choice, say: Say) -> Section:
 
     def paint(figure: Any) -> None:
         for axis, (k, one) in zip(figure.subplots(len(FIG3), 1, sharex=True), drawn.items(), strict=True):
-            canvas.plain(axis, ylabel=f"$\\kappa$ = {k:g}")
+            canvas.plain(axis, ylabel=f"$\\kappa$ = {k:g}, density [1/deg]")
             axis.hist(np.rad2deg(one.angles), bins=120, density=True, color="0.8", label="wrapped Gaussian, drawn")
             density = np.exp(np.asarray(von_mises.log_prob(x.astype(np.float32), CENTRE, k)))
             axis.plot(np.rad2deg(x), density * np.pi / 180, color=canvas.BLUE, label="von Mises")
             axis.axvline(np.rad2deg(one.circular), color=canvas.GREEN, label="circular mean")
             axis.axvline(np.rad2deg(one.naive), color=canvas.RED, linestyle="--", label="naive mean")
-        figure.axes[0].legend(fontsize=8, frameon=False)
+        canvas.legend(figure, figure.axes[0])
         figure.axes[-1].set_xlabel("angle [deg]")
 
     title = "Fig. 3: naive against circular mean"

@@ -125,9 +125,10 @@ def hyperparameters(choice: Choice, say: Say) -> Section:
         axis = canvas.plain(figure.subplots(), ylabel="mean half 95 % interval [deg]")
         place = np.arange(len(widths))
         for j, joint in enumerate(arm.JOINTS):
-            axis.bar(place + 0.2 * (j - 1.5), [w[j] for w in widths.values()], 0.2, label=joint)
+            colour = (canvas.BLUE, canvas.RED, canvas.GREEN, canvas.ORANGE)[j]
+            axis.bar(place + 0.2 * (j - 1.5), [w[j] for w in widths.values()], 0.2, label=joint, color=colour)
         axis.set_xticks(place, list(widths), rotation=40, ha="right", fontsize=8)
-        axis.legend(fontsize=8, frameon=False, ncols=4)
+        canvas.legend(figure, axis)
 
     title = "Section V-A: hyperparameters, all sensors, bootstrap filter"
     return Section("hyperparameters", title, rows, lambda path: canvas.save(path, (10, 5), paint, title))
