@@ -106,7 +106,9 @@ def _log(file: Path, config: Path | None, json: bool) -> Answer:
         log = read(file, proposal.table if proposal else columns)
         summary = summarize(log)
         text = log_view.with_settings(text, summary, imus(log), of_log(log), onsite_config.of_log(imus(log)))
-    except InputError:
+    except InputError as error:
+        if not unsure and text:
+            raise InputError(f"{error}; to mend it, put lines such as these into a config:\n{text}") from error
         if not unsure:
             raise
         summary = None  # what is open, such as the sampling rate, is needed to read it at all

@@ -130,6 +130,21 @@ def test_the_config_of_our_own_layout(invoke, tmp_path):
     assert tomllib.loads(found) == {"orientation": {"imu": "imu0"}, "onsite": {"first": "imu0", "second": "imu1"}}
 
 
+def test_stamps_that_cannot_be_are_shown_with_lines_that_mend_them(refused, tmp_path):
+    """Two samples share a stamp; by their rate instead the log can be read."""
+    time = np.arange(200) / 100
+    time[50] = time[49]
+    rows = np.c_[time, np.zeros((200, 3)), np.tile([0, 0, 9.8], (200, 1))].tolist()
+    text = "\n".join(["t,gx,gy,gz,ax,ay,az", *(",".join(map(repr, row)) for row in rows)])
+    (tmp_path / "log.csv").write_text(text)
+    message = refused("inspect", "log.csv")
+    assert "is a duplicate of row 49's" in message
+    lines = message[message.index("# gyroscope") :]
+    assert 'time = "t"\ntime_unit = "s"' in lines
+    mended = tomllib.loads(lines.replace('time = "t"\ntime_unit = "s"', "rate = 100.0"))
+    np.testing.assert_allclose(read("log.csv", mended["columns"]).streams["gyroscope"].time, np.arange(200) / 100)
+
+
 def test_open_layout_is_shown_with_lines_to_paste(invoke, tmp_path):
     np.savez(tmp_path / "a.npz", gyr=np.zeros((5, 3)), acc=np.ones((5, 3)))
     result = invoke("inspect", "a.npz")

@@ -2,16 +2,19 @@
 
 import json
 import re
+import tomllib
 
 import jax
 import numpy as np
 import pytest
 
 from jaxest import kinematics, models
+from jaxest.cli.methods import Request
 from jaxest.cli.methods import posture as cli
 from jaxest.io import SensorLog, Stream, read, write
 from jaxest.simulate import grasp
 from jaxest.systems import posture
+from jaxest.types import InputError
 
 SITES = ("imu_trunk", "imu_upper_arm", "imu_forearm", "imu_hand")
 HZ, STEPS = 40.0, 200
@@ -112,3 +115,13 @@ def test_what_takes_no_part_is_said(arm):
     assert "left out: c" in idle
     assert slides == "slides stay at home: lift"
     assert tuple(cli._hinges(robot)) == ("turn",)
+
+
+def test_imus_without_a_frame_are_answered_with_lines_to_paste(arm):
+    """Also where a name holds what TOML wants in quotes."""
+    robot = kinematics.load('<mujoco><worldbody><body name="a"><joint/><geom size=".1"/></body></worldbody></mujoco>')
+    log = SensorLog({"left/hand/gyroscope": arm[0].streams["imu_hand/gyroscope"]})
+    with pytest.raises(InputError) as caught:
+        cli.choose(log, robot, Request())
+    text = str(caught.value)
+    assert tomllib.loads(text[text.index("[posture") :]) == {"posture": {"imus": {"left/hand": "FRAME"}}}

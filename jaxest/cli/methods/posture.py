@@ -1,5 +1,6 @@
 """`--method posture`: the joints of a robot, a hand or an arm from IMUs on its links."""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -128,7 +129,7 @@ def choose(log: SensorLog, robot: Any, request: Request) -> Choice:
         there = ", ".join(imus_in(log)) or "none"
         raise InputError(
             f"{where(log)}no IMU has the name of a frame (IMUs: {there}); put into a config:\n[posture.imus]\n"
-            + "\n".join(f'{imu} = "FRAME"' for imu in imus_in(log))
+            + "\n".join(f'{json.dumps(imu)} = "FRAME"' for imu in imus_in(log))
         )
     for imu, frame in given.items():
         if frame not in robot.frame_names:
