@@ -45,6 +45,15 @@ class Choice(NamedTuple):
     """Folder where finished runs are kept, so that a stopped run goes on from there; kept nowhere if None."""
 
 
+APART = 100_000
+"""Seeds between the first runs of two `--seed`s."""
+
+
+def seed_of(choice: Choice, run: int = 0) -> int:
+    """Return the seed of a part's run, so that no run of one `--seed` is one of another."""
+    return APART * choice.seed + run
+
+
 COMMON = ("seed", "small")
 """Fields of `Choice` that every paper takes."""
 
@@ -122,4 +131,4 @@ def _check(paper: str, choice: Choice) -> None:
         raise InputError(f"--runs: got {choice.runs}, expected at least 1")
 
 
-__all__ = ["COMMON", "PAPERS", "Choice", "Part", "Say", "Section", "parts", "sections"]
+__all__ = ["APART", "COMMON", "PAPERS", "Choice", "Part", "Say", "Section", "parts", "sections", "seed_of"]

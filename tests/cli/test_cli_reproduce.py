@@ -2,6 +2,8 @@ import json
 
 import pytest
 
+from jaxest import reproduce
+
 
 def test_small_figures_as_tables_pictures_and_json(invoke, tmp_path):
     words = ("reproduce", "sato2023", "--part", "fig2", "--part", "fig3", "--small")
@@ -40,3 +42,9 @@ def test_parts_are_named(invoke):
 )
 def test_unknown_papers_and_parts_are_refused(refused, words, part):
     assert part in refused("reproduce", *words)
+
+
+def test_no_run_of_one_seed_is_one_of_another():
+    runs = [reproduce.seed_of(reproduce.Choice(seed), run) for seed in range(4) for run in (0, 1, 100, 50_090)]
+    assert len(set(runs)) == len(runs)
+    assert reproduce.seed_of(reproduce.Choice()) == 0

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxest.filters import run
 from jaxest.io.report import Row
-from jaxest.reproduce import Choice, Say, Section
+from jaxest.reproduce import Choice, Say, Section, seed_of
 from jaxest.reproduce.santaera2015 import hand, kept
 from jaxest.simulate import grasp
 from jaxest.systems import posture
@@ -33,7 +33,7 @@ def angles(choice: Choice, say: Say) -> Section:
         errors, known = [], None
         for k in range(count):
             say(f"angles: {name}, run {k + 1} of {count}")
-            seed = choice.seed + k
+            seed = seed_of(choice, k)
             tag = f"angles_{'9' if magnetic else '6'}_{seconds:g}s_{seed}"
             made = kept.piece(choice.work, tag, partial(_run, draw, system, params, seed))
             errors.append(made["error"])

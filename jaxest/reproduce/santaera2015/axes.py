@@ -12,7 +12,7 @@ from jaxest.calibration import mounting
 from jaxest.filters import attitude
 from jaxest.io.report import Row
 from jaxest.manifolds import quaternion as quat
-from jaxest.reproduce import Choice, Say, Section
+from jaxest.reproduce import Choice, Say, Section, seed_of
 from jaxest.reproduce.santaera2015 import kept
 from jaxest.simulate import imu, trajectories
 
@@ -30,7 +30,7 @@ def calibration(choice: Choice, say: Say) -> Section:
         errors = []
         for begin in range(0, count, BATCH):
             say(f"calibration: {name}, mounting {begin + 1} of {count}")
-            seed, size = choice.seed + begin + 50000 * two, min(BATCH, count - begin)
+            seed, size = seed_of(choice, begin + 50000 * two), min(BATCH, count - begin)
             made = kept.piece(choice.work, f"axes_{1 + two}_{seed}_{size}", partial(_errors, two, seed, size))
             errors.append(made["error"])
         *both, foreseen = np.concatenate(errors).T

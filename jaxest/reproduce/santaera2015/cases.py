@@ -13,7 +13,7 @@ from jaxest.filters import complementary, every, run
 from jaxest.io.report import Row
 from jaxest.kinematics import roll_pitch_yaw
 from jaxest.manifolds import quaternion as quat
-from jaxest.reproduce import Choice, Say, Section
+from jaxest.reproduce import Choice, Say, Section, seed_of
 from jaxest.reproduce.santaera2015 import hand, kept
 from jaxest.reproduce.santaera2015.table import draw_gripper
 from jaxest.simulate import grasp
@@ -41,8 +41,8 @@ def cases(choice: Choice, say: Say) -> Section:
     shown: dict[str, Any] = {}
     for name, scene in SCENES.items():
         say(f"cases: {name}")
-        tag = f"cases_{name.split()[0]}_{choice.seed}_{count}"
-        made = kept.piece(choice.work, tag, partial(_case, scene, choice.seed, count))
+        tag = f"cases_{name.split()[0]}_{seed_of(choice)}_{count}"
+        made = kept.piece(choice.work, tag, partial(_case, scene, seed_of(choice), count))
         each = np.sqrt(np.mean(made["error"] ** 2, axis=(1, 2)))
         rows += [
             Row("finger angles, RMSE", name, float(each.mean()), "deg", float(each.std()), count),
@@ -51,7 +51,7 @@ def cases(choice: Choice, say: Say) -> Section:
         ]
         shown[name] = made
     say("cases: roll and pitch of the palm")
-    made = kept.piece(choice.work, f"cases_imu7_{choice.seed}_{count}", partial(_palm, choice.seed, count))
+    made = kept.piece(choice.work, f"cases_imu7_{seed_of(choice)}_{count}", partial(_palm, seed_of(choice), count))
     rows += [
         Row(f"{part} of the palm, RMSE", "fig. 8, IMU 7 alone", float(size.mean()), "deg", float(size.std()), count)
         for part, size in zip(("roll", "pitch"), made["size"].T, strict=True)

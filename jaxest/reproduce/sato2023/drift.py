@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from jaxest.io.report import Row
 from jaxest.metrics import circular_error
-from jaxest.reproduce import Choice, Say, Section
+from jaxest.reproduce import Choice, Say, Section, seed_of
 from jaxest.reproduce.sato2023 import arm
 from jaxest.sensors import link_orientation
 from jaxest.systems import deflection
@@ -27,7 +27,7 @@ def fig10(choice: Choice, say: Say) -> Section:
     Source: Sato 2023, fig. 10, section IV-E.
     """
     runs, seconds = (1, 6.0) if choice.small else (RUNS, arm.SECONDS)
-    scenes = [arm.scene(choice.seed + i, seconds=seconds, drift=0.0) for i in range(runs)]
+    scenes = [arm.scene(seed_of(choice, i), seconds=seconds, drift=0.0) for i in range(runs)]
     rows, shown = [], {}
     for label, (count, propose) in FILTERS.items():
         for kind, lam in KINDS.items():
@@ -35,7 +35,7 @@ def fig10(choice: Choice, say: Say) -> Section:
             given = arm.params(imu2=noise, imu3=noise)
             for speed in DRIFTS:
                 say(f"fig. 10: {kind}, {speed:g} deg/s")
-                found = [arm.estimate(drifting(s, speed), choice.seed + i, arm.system(count, propose), given)
+                found = [arm.estimate(drifting(s, speed), seed_of(choice, i), arm.system(count, propose), given)
                          for i, s in enumerate(scenes)]  # fmt: skip
                 shown[label, kind, speed] = found[0]
                 rows += _rows(f"{kind}, {speed:g} deg/s, {label}", scenes, found)

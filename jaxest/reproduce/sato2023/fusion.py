@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxest.io.report import Row
 from jaxest.metrics import circular_error
-from jaxest.reproduce import Choice, Say, Section
+from jaxest.reproduce import Choice, Say, Section, seed_of
 from jaxest.reproduce.sato2023 import arm
 from jaxest.viz import canvas
 
@@ -27,14 +27,14 @@ def fig6(choice: Choice, say: Say) -> Section:
     Source: Sato 2023, fig. 6, Table I.
     """
     runs, seconds = (1, 6.0) if choice.small else (RUNS, arm.SECONDS)
-    scenes = [arm.scene(choice.seed + i, seconds=seconds) for i in range(runs)]
+    scenes = [arm.scene(seed_of(choice, i), seconds=seconds) for i in range(runs)]
     rows, shown = [], {}
     for name, sensors in COMBINATIONS.items():
         say(f"fig. 6: {name}")
         found = []
         for i, one in enumerate(scenes):
             seen = one.time % PERIOD < SEEN if name == "EE now and then" else None
-            found.append(arm.estimate(arm.using(one, sensors, seen), choice.seed + i))
+            found.append(arm.estimate(arm.using(one, sensors, seen), seed_of(choice, i)))
         shown[name] = found[0]
         rows += rows_of(name, scenes, found)
     naive = [[arm.rms(np.rad2deg(s.reference - s.angles)[:, j]) for s in scenes] for j in range(4)]

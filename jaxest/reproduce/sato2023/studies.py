@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxest.io.report import Row
 from jaxest.metrics import circular_error
-from jaxest.reproduce import Choice, Say, Section
+from jaxest.reproduce import Choice, Say, Section, seed_of
 from jaxest.reproduce.sato2023 import arm
 from jaxest.sensors import joint_angle, link_orientation, link_position
 from jaxest.systems import deflection
@@ -36,14 +36,14 @@ def particles(choice: Choice, say: Say) -> Section:
     Source: Sato 2023, section V-A, item 3.
     """
     runs, seconds = (1, 6.0) if choice.small else (RUNS, arm.SECONDS)
-    scenes = [arm.scene(choice.seed + i, seconds=seconds) for i in range(runs)]
+    scenes = [arm.scene(seed_of(choice, i), seconds=seconds) for i in range(runs)]
     rows, errors, seen = [], {}, {}
     cases = [(n, deflection.bootstrap, "bootstrap") for n in (COUNTS[:2] if choice.small else COUNTS)]
     cases += [(n, deflection.guided, "guided") for n in ((64,) if choice.small else (64, 256))]
     for count, propose, name in cases:
         say(f"{count} particles, {name}")
         chosen = arm.system(count, propose)
-        found = [arm.estimate(arm.using(s, WITH_IMUS), choice.seed + i, chosen) for i, s in enumerate(scenes)]
+        found = [arm.estimate(arm.using(s, WITH_IMUS), seed_of(choice, i), chosen) for i, s in enumerate(scenes)]
         away = [np.rad2deg(circular_error(r.mean, s.angles)) for s, r in zip(scenes, found, strict=True)]
         error, part = [arm.rms(e) for e in away], [arm.rms(e[:, SEEN]) for e in away]
         share = [100 * float(np.mean(r.ess)) / count for r in found]
@@ -95,7 +95,7 @@ def hyperparameters(choice: Choice, say: Say) -> Section:
     Source: Sato 2023, section V-A, items 1, 2, 4 to 6, and its end.
     """
     runs, seconds = (1, 6.0) if choice.small else (FEW, arm.SECONDS)
-    scenes = [arm.scene(choice.seed + i, seconds=seconds) for i in range(runs)]
+    scenes = [arm.scene(seed_of(choice, i), seconds=seconds) for i in range(runs)]
     usual = arm.system()
     cases = [(name, usual, arm.params(**changes)) for name, changes in variants().items()]
     cases.append(("Gaussian noise", arm.system(2048, deflection.bootstrap, deflection.gaussian), arm.params()))
@@ -104,7 +104,7 @@ def hyperparameters(choice: Choice, say: Say) -> Section:
     rows, widths = [], {}
     for name, chosen, given in cases:
         say(f"hyperparameters: {name}")
-        found = [arm.estimate(arm.using(s, ALL), choice.seed + i, chosen, given) for i, s in enumerate(scenes)]
+        found = [arm.estimate(arm.using(s, ALL), seed_of(choice, i), chosen, given) for i, s in enumerate(scenes)]
         error = [np.rad2deg(circular_error(r.mean, s.angles)) for s, r in zip(scenes, found, strict=True)]
         width = np.mean([np.rad2deg(r.upper - r.lower).mean(axis=0) / 2 for r in found], axis=0)
         jitter = [arm.rms(np.diff(e, axis=0)) / np.sqrt(2) for e in error]

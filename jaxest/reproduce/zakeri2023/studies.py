@@ -9,7 +9,7 @@ import numpy as np
 from jaxest.io.report import Row
 from jaxest.mcmc import particle_mh
 from jaxest.mcmc.model import Unknown
-from jaxest.reproduce import Choice, Say, Section
+from jaxest.reproduce import Choice, Say, Section, seed_of
 from jaxest.reproduce.zakeri2023 import runs
 from jaxest.reproduce.zakeri2023.figures import health, tau_rows
 from jaxest.systems import torque_model, torque_settings
@@ -111,7 +111,7 @@ def accuracy(choice: Choice, say: Say) -> Section:
         for i in range(count):
             say(f"{sampler}: data set {i + 1} of {count}")
             found = runs.run(
-                sampler, setting, choice.seed + 100 + i, small=choice.small, work=choice.work, iterations=600
+                sampler, setting, seed_of(choice, 100 + i), small=choice.small, work=choice.work, iterations=600
             )
             flat = found.posterior.theta.reshape(-1, 7)
             mean, sd = flat.mean(axis=0), flat.std(axis=0)
