@@ -43,6 +43,8 @@ class Rays(NamedTuple):
     """(L, Z) m."""
     sensors: NDArray[np.int64]
     """(L,) how many cast them."""
+    sensor: NDArray[np.int64]
+    """(L, Z) which of the link's."""
 
 
 class Body(NamedTuple):
@@ -114,11 +116,12 @@ def _rays(robot: Robot, sensors: Sequence[Proximity]) -> tuple[tuple[int, ...], 
                 raise InputError(f"sensor on {one.frame!r}: that site is the world's, expected one of the robot's")
         owners.append(at)
         parts.append((np.arange(start, start + len(away)), np.tile(origin, (len(away), 1)), away,
-                      np.full(len(away), one.minimum), np.full(len(away), one.maximum)))  # fmt: skip
+                      np.full(len(away), one.minimum), np.full(len(away), one.maximum),
+                      np.full(len(away), owners[:-1].count(at))))  # fmt: skip
         start += len(away)
     scanned = tuple(sorted(set(owners)))
     most = max(sum(len(p[0]) for p, o in zip(parts, owners, strict=True) if o == link) for link in scanned)
-    fill = (start, np.zeros(3), np.array([1.0, 0, 0]), 0.0, 0.0)
+    fill = (start, np.zeros(3), np.array([1.0, 0, 0]), 0.0, 0.0, 0)
     rows = []
     for link in scanned:
         mine = [p for p, o in zip(parts, owners, strict=True) if o == link]
@@ -127,8 +130,8 @@ def _rays(robot: Robot, sensors: Sequence[Proximity]) -> tuple[tuple[int, ...], 
         rows.append([np.concatenate([c, np.repeat(np.asarray(f)[None], spare, axis=0)])
                      for c, f in zip(joined, fill, strict=True)])  # fmt: skip
     counts = np.array([owners.count(link) for link in scanned])
-    index, origin, direction, minimum, maximum = (np.stack(column) for column in zip(*rows, strict=True))
-    return scanned, Rays(index, origin, direction, minimum, maximum, counts), start
+    index, origin, direction, minimum, maximum, sensor = (np.stack(column) for column in zip(*rows, strict=True))
+    return scanned, Rays(index, origin, direction, minimum, maximum, counts, sensor), start
 
 
 def _check(one: Proximity, origin: NDArray[np.float64], away: NDArray[np.float64]) -> None:

@@ -11,6 +11,7 @@ from jaxest.systems import _slam_body as bodies
 from jaxest.systems._slam_body import Body
 from jaxest.systems._slam_register import REACH, Carry, Config, Seen, rebased, register, subset
 from jaxest.systems._slam_rows import Points, Pose, point_slope, world
+from jaxest.systems._slam_tilt import Mounts, Turned, aimed, astray, filed, learned, swung, unknowns, widened
 from jaxest.types import Array
 
 LASTS = 25.0  # scans: an error of the link's that never changes counts as new that seldom
@@ -45,13 +46,23 @@ def walk(
 
     def link(carry: Carry, row: tuple[Array, Points, Array, Array]) -> tuple[Carry, Seen]:
         at, mine, count, alike = row
-        here = _pose(carry.links, at)
-        slope = jnp.concatenate([here.turn, here.travel])[:, roots:]
-        spare = product(slope * noise[None], slope.T) + jnp.diag(_stray(params, mine, count, alike))
+        here = widened(_pose(carry.links, at), len(carry.covariance))
+        slope = jnp.concatenate([here.turn, here.travel])[:, roots : body.size]
+        mount = None if carry.mounts is None else jax.tree.map(lambda x: x[at], carry.mounts)
+        aim = mine if mount is None else aimed(mine, mount.ring[None] + mount.turn)
+        turned = None if mount is None else Turned(at, body.size + 3 * at, mount.covariance, alike)
+        spare = product(slope * noise[None], slope.T) + jnp.diag(_stray(params, mine, count, alike, mount))
         leads = (at == 0) & (index > 0)
-        carry, seen = register(body, config, params, carry, here, mine, spare, parts, turn, doubt, leads, usual)
+        carry, seen, found = register(
+            body, config, params, carry, here, aim, spare, parts, turn, doubt, leads, usual, turned
+        )
+        if mount is not None:
+            mount = learned(jax.tree.map(lambda x: x[at], carry.mounts), *found)
+            aim = aimed(mine, mount.ring[None] + mount.turn)
+            carry = carry._replace(mounts=jax.tree.map(lambda x, new: x.at[at].set(new), carry.mounts, mount))
         carry = carry._replace(links=bodies.links(body, carry.mean, reading, body.scanned))
-        return _learn(config, params, carry, _pose(carry.links, at), mine, seen, roots)
+        here = widened(_pose(carry.links, at), len(carry.covariance))
+        return _learn(config, params, carry, here, aim, seen, roots, at)
 
     sensors = jnp.asarray(body.rays.sensors, start.covariance.dtype)
     return jax.lax.scan(link, start, (jnp.arange(len(body.scanned)), points, sensors, scans))
@@ -74,13 +85,14 @@ def repeats(params: Any, links: bodies.Links, before: bodies.Links, index: Array
     return jnp.where(index == 0, 1, 1 + 2 * params.renewal / (gone + params.renewal / STILL))
 
 
-def _stray(params: Any, points: Points, sensors: Array, scans: Array) -> Array:
+def _stray(params: Any, points: Points, sensors: Array, scans: Array, mount: Mounts | None) -> Array:
     """Return the variances (6,) of a link's rotation and position that one scan leaves, however many its points."""
     share = params.stray * params.noise
     count = jnp.maximum(jnp.sum(points.valid), 1)
     far = jnp.sum(jnp.where(points.valid, points.reach**2, 0)) / count
     # Sensors that point elsewhere do so in every scan.
-    rotation = scans * (params.stray_rotation**2 + share**2) + LASTS * params.tilt**2 / sensors
+    tilt = LASTS * params.tilt**2 / sensors if mount is None else astray(mount.covariance, sensors)
+    rotation = scans * (params.stray_rotation**2 + share**2) + tilt
     position = scans * (params.stray_position**2 + share**2 * far)
     return jnp.concatenate([jnp.full(3, rotation), jnp.full(3, position)])
 
@@ -90,20 +102,23 @@ def _pose(links: bodies.Links, at: Array) -> Pose:
 
 
 def _learn(
-    config: Config, params: Any, carry: Carry, pose: Pose, points: Points, seen: Seen, roots: int
+    config: Config, params: Any, carry: Carry, pose: Pose, points: Points, seen: Seen, roots: int, at: Array
 ) -> tuple[Carry, Seen]:
     """Bring a link's points into the map, if the link is known well enough."""
     x = world(pose, points.local)
-    slope = point_slope(pose, x)[:, :, roots:]
-    x = x - product(slope, carry.mean.bias - carry.reference)
+    slope = point_slope(pose, x)
+    if carry.mounts is not None:
+        slope = swung(slope, pose.rotation, points, roots + len(carry.mean.bias) + 3 * at)
+    slope = slope[:, :, roots:]
+    x = x - product(slope, unknowns(carry.mean.bias, carry.mounts) - carry.reference)
     where = product(pose.travel, product(carry.covariance, pose.travel.T))
     kept = jnp.trace(where) < params.admit**2
     ray, scatter = product(points.ray, pose.rotation.T), params.noise * points.reach
-    filed = None if config.central else likeliest(config.layout, carry.chart, x, ray, scatter)
-    chart = insert(
-        config.layout, carry.chart, x, points.valid & kept, slope.reshape(len(x), -1), filed=filed,
-        central=config.central,
-    )  # fmt: skip
+    voxel = None if config.central else likeliest(config.layout, carry.chart, x, ray, scatter)
+    extra = slope.reshape(len(x), -1)
+    if carry.mounts is not None:
+        extra = jnp.concatenate([extra, filed(points, carry.mounts, at)], axis=1)
+    chart = insert(config.layout, carry.chart, x, points.valid & kept, extra, filed=voxel, central=config.central)
     return carry._replace(chart=chart), seen._replace(kept=kept)
 
 

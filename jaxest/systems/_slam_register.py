@@ -14,6 +14,7 @@ from jaxest.mapping import Layout, VoxelMap, carried, shift
 from jaxest.systems import _slam_body as bodies
 from jaxest.systems._slam_body import Body, Mean
 from jaxest.systems._slam_rows import Points, Pose, Sums, match, moved, sums
+from jaxest.systems._slam_tilt import Mounts, Turned, along, unknowns
 from jaxest.types import Array
 
 TRIALS = np.linspace(-2.5, 2.5, 21)  # deviations of a bias at which a link is tried
@@ -53,9 +54,11 @@ class Carry(NamedTuple):
     covariance: Array
     chart: VoxelMap
     reference: Array
-    """(n,) biases at which the map's points stand."""
+    """(n,) unknowns at which the map's points stand."""
     links: bodies.Links
     """Of the scanned links, at the mean."""
+    mounts: Mounts | None = None
+    """Of all sensors, where their turns are estimated."""
 
 
 class Seen(NamedTuple):
@@ -98,13 +101,14 @@ class Fit(NamedTuple):
 
 def _once(
     body: Body, config: Config, params: Any, carry: Carry, pose: Pose, points: Points, spare: Array, parts: int,
-    prior: Array, v: Array, turn: Array, slack: Array | None,
+    turned: Turned | None, prior: Array, v: Array, turn: Array, slack: Array | None,
 ) -> Fit:  # fmt: skip
     """Look for planes with the state moved by v (D,), and update a prior covariance (D, D) with them."""
     some = jax.tree.map(lambda x: subset(x, parts, turn), points)
-    offset = carry.mean.bias + v[body.size - len(body.joints) :] - carry.reference
-    rows = match(config.layout, carry.chart, params, moved(pose, v), some, offset, prior, slack)
-    found = sums(rows, some, spare)
+    some = some if turned is None else along(some, v, turned)
+    offset = unknowns(carry.mean.bias, carry.mounts) + v[body.size - len(body.joints) :] - carry.reference
+    rows = match(config.layout, carry.chart, params, moved(pose, v), some, offset, prior, slack, turned)
+    found = sums(rows, some, spare, turned)
     enough = found.inliers >= config.least
     information = jnp.where(enough, found.information, 0)
     pull = jnp.where(enough, found.pull, 0)
@@ -183,8 +187,8 @@ def _found_again(
 
 def register(
     body: Body, config: Config, params: Any, carry: Carry, pose: Pose, points: Points, spare: Array,
-    parts: int, turn: Array, doubt: Array, leads: Array, usual: Array,
-) -> tuple[Carry, Seen]:  # fmt: skip
+    parts: int, turn: Array, doubt: Array, leads: Array, usual: Array, turned: Turned | None,
+) -> tuple[Carry, Seen, Any]:  # fmt: skip
     """Iterate plane search and update until the link stays where it is, from the best of several starts at first.
 
     A joint of unknown bias is tried at biases over its whole prior, with all zones: from the middle of it planes two
@@ -199,18 +203,17 @@ def register(
         points: what it sees.
         spare: (6, 6) covariance of what its points do not tell of it.
         parts: in how many steps all zones take part.
-        turn: () int32, which zones' turn it is.
+        turn: () int32, whose turn it is.
         doubt: (6,) variances of a free root's prediction by which the first search looks farther.
         leads: () bool, whether this link says where a free root is.
         usual: () share of that link's points that fitted so far.
+        turned: where turns of sensors are estimated.
 
     Returns:
-        Belief and map, and what was seen.
+        Belief and map, what was seen, and what `learned` takes of it.
     """
-    covariance = carry.covariance
-    roots = body.size - len(body.joints)
-    free = body.root is not None
-    once = partial(_once, body, config, params, carry, pose, points, spare, parts)
+    covariance, free = carry.covariance, body.root is not None
+    once = partial(_once, body, config, params, carry, pose, points, spare, parts, turned)
     slack = jnp.where(leads, doubt, 0) if free else None
 
     def size(v: Array) -> Array:
@@ -218,7 +221,7 @@ def register(
         turned, travelled = product(pose.turn, v), product(pose.travel, v)
         return jnp.max(jnp.abs(travelled)) + REACH * jnp.max(jnp.abs(turned))
 
-    direction, unknown = _doubt(covariance, pose, roots)
+    direction, unknown = _doubt(covariance, pose, body.size - len(body.joints))
 
     def again(state: Any, row: tuple[Array, Array, Array]) -> tuple[Any, None]:
         fit, last, (least, best, total), count = state
@@ -239,8 +242,8 @@ def register(
         return (new, jnp.where(worked, start, last), found, count + worked.astype(jnp.int32)), None
 
     # Trials and iterations are one scan, so that their program is there once.
-    zero, none = jnp.zeros(body.size, covariance.dtype), jnp.int32(0)
-    nothing = Sums(jnp.zeros_like(covariance), zero, jnp.zeros_like(spare), none, none, none)
+    zero, none = jnp.zeros(len(covariance), covariance.dtype), jnp.int32(0)
+    nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(once, covariance, zero, turn, slack).sums)
     first = (Fit(zero, covariance, nothing, zero[0], zero[0], zero[0]), zero, (zero[0] + jnp.inf, zero, zero[0]), none)
     offsets = jnp.asarray(np.concatenate([np.repeat(TRIALS, parts), np.zeros(config.rounds)]), zero.dtype)
     trial = np.arange(len(offsets)) < len(TRIALS) * parts
@@ -249,13 +252,25 @@ def register(
     lost = jnp.bool_(False)
     if free:
         fit, last, lost = _found_again(config, params, carry, fit, last, leads, usual, once, turn)
-    v, after = fit.correction, fit.covariance
-    arrived = bodies.retract(body, carry.mean, v)
-    if free:
-        after = symmetric(sandwich(reanchor(bodies.manifold(body), carry.mean, v, arrived), after))
-    settled = size(v - last) <= 4 * STEP
-    done = rebased(carry._replace(mean=arrived, covariance=after))
-    return done, Seen(fit.sums, fit.odd, fit.surprise, count, settled, jnp.bool_(True), lost)
+    settled, told = size(fit.correction - last) <= 4 * STEP, fit.sums._replace(aims=None)
+    seen = Seen(told, fit.odd, fit.surprise, count, settled, jnp.bool_(True), lost)
+    right = (told.inliers >= config.least) & ~lost & ~amiss(config, told)
+    found = None if turned is None else (fit.sums.aims, fit.correction - last, fit.covariance, right)
+    return rebased(_arrived(body, carry, fit)), seen, found
+
+
+def _arrived(body: Body, carry: Carry, fit: Fit) -> Carry:
+    """Move the belief to where an update says."""
+    v, after, mounts = fit.correction[: body.size], fit.covariance, carry.mounts
+    mean = bodies.retract(body, carry.mean, v)
+    if mounts is not None:
+        mounts = mounts._replace(ring=mounts.ring + fit.correction[body.size :].reshape(-1, 3))
+    if body.root is not None:
+        frame = reanchor(bodies.manifold(body), carry.mean, v, mean)
+        if mounts is not None:
+            frame = jnp.eye(len(after), dtype=v.dtype).at[: body.size, : body.size].set(frame)
+        after = symmetric(sandwich(frame, after))
+    return carry._replace(mean=mean, covariance=after, mounts=mounts)
 
 
 def _doubt(covariance: Array, pose: Pose, roots: int) -> tuple[Array, Array]:
@@ -272,10 +287,12 @@ def rebased(carry: Carry, least: float = BEND) -> Carry:
     """Move the map's points to where the biases now put them, if those changed by `least` rad or m or more."""
 
     def bend() -> tuple[VoxelMap, Array]:
-        slope = carried(carry.chart).reshape(carry.chart.point.shape[0], 3, -1)
-        return shift(carry.chart, product(slope, carry.mean.bias - carry.reference)), carry.mean.bias
+        moves = carried(carry.chart)[:, : 3 * len(carry.reference)]
+        slope = moves.reshape(carry.chart.point.shape[0], 3, -1)
+        return shift(carry.chart, product(slope, here - carry.reference)), here
 
-    far = jnp.max(jnp.abs(carry.mean.bias - carry.reference), initial=0) >= least
+    here = unknowns(carry.mean.bias, carry.mounts)
+    far = jnp.max(jnp.abs(here - carry.reference), initial=0) >= least
     chart, reference = jax.lax.cond(far, bend, lambda: (carry.chart, carry.reference))
     return carry._replace(chart=chart, reference=reference)
 

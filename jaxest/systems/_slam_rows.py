@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxest.filters.kalman.gaussian import product, symmetric
 from jaxest.manifolds import so3
 from jaxest.mapping import Layout, VoxelMap, carried, fit, nearest
+from jaxest.systems._slam_tilt import Aims, Turned, parted, swung, taken_out
 from jaxest.types import Array
 
 
@@ -34,6 +35,8 @@ class Points(NamedTuple):
     """(n,) m, the range."""
     valid: Array
     """(n,) bool."""
+    sensor: Array | None = None
+    """(n,) int32, which of the link's sensors saw it, where their turns are estimated."""
 
 
 class Rows(NamedTuple):
@@ -53,6 +56,10 @@ class Rows(NamedTuple):
     """() how badly the points fit in all: squared residuals in units of the gate, 1 for each that does not fit."""
     odd: Array
     """() sum of the squared residuals that count, in the variance that readings and planes alone give them."""
+    mount: Array | None = None
+    """(n, 3) derivative by the turn of the sensor, along the link's axes."""
+    far: Array | None = None
+    """(n,) rad2, by how much the map is turned there for what was unknown of sensors when it was made."""
 
 
 class Sums(NamedTuple):
@@ -70,6 +77,8 @@ class Sums(NamedTuple):
     """() int32, points with enough of the map about them."""
     seen: Array
     """() int32, points there were."""
+    aims: Aims | None = None
+    """What the rows say of the sensors' turns."""
 
 
 def moved(pose: Pose, v: Array) -> Pose:
@@ -94,7 +103,7 @@ def point_slope(pose: Pose, x: Array) -> Array:
 
 def match(
     layout: Layout, chart: VoxelMap, params: Any, pose: Pose, points: Points, offset: Array, covariance: Array,
-    slack: Array | None = None,
+    slack: Array | None = None, turned: Turned | None = None,
 ) -> Rows:  # fmt: skip
     """Find a plane beside each point, and write the distance to it as a row.
 
@@ -108,6 +117,7 @@ def match(
         covariance: (D, D) of the state, of which the last n are the biases.
         slack: (6,) variances of a free root's position and rotation, which the gate lets residuals have besides; None
             where the root is fixed.
+        turned: where the sensors' turns are estimated.
 
     Returns:
         The rows.
@@ -121,15 +131,24 @@ def match(
     weight = 1 / (params.uneven**2 + scatter[None] ** 2 / read)
     planes = fit((neighbours[0], neighbours[1], neighbours[2]), near.there, weight)
     known = points.valid & planes.valid
-    found = known & (planes.thickness < params.thickness + scatter)
     n = planes.normal
     weight = jnp.where(near.there, weight, 0)
     share = weight / jnp.maximum(jnp.sum(weight, axis=0), 1)[None]
     kept = jnp.where(near.there[..., None], carried(chart, near.row), 0)
-    moves = jnp.sum(share[..., None] * kept, axis=0).reshape(len(x), 3, len(offset))
+    moves = jnp.sum(share[..., None] * kept, axis=0)
+    mount: Any = None
+    hazy: Any = 0.0
+    if turned is not None:
+        moves, own, hazy = parted(moves, 3 * len(offset), turned)
+        # With what the sensors of a link have put into the map themselves they agree, however they are turned.
+        mount = (1 - own)[:, None] * jnp.cross(points.reach[:, None] * points.ray, product(n, pose.rotation))
+    moves = moves.reshape(len(x), 3, len(offset))
+    found = known & (planes.thickness < params.thickness + scatter + hazy**0.5)
     along = jnp.sum(n[:, :, None] * moves, axis=1)
     roots = len(covariance) - len(offset)
     slope = point_slope(pose, x)
+    if turned is not None:
+        slope = swung(slope, pose.rotation, points, turned.first)
     design = jnp.sum(n[:, :, None] * slope, axis=1)
     whole = design[:, roots:]
     design = jnp.concatenate([design[:, :roots], whole - along], axis=1)
@@ -140,13 +159,15 @@ def match(
     allowed = params.gate**2 * points.reach + 9 * scatter**2
     if slack is not None:
         allowed = allowed + 9 * product(design[:, :6] ** 2, slack)
+    if turned is not None:
+        allowed = allowed + 9 * (hazy + jnp.einsum("ni,nij,nj->n", mount, turned.covariance[points.sensor], mount))
     shares = residual**2 / allowed
     inside = found & (shares < 1)
     # Planes of a few readings each are wrong alike for all that is compared with them, and for scans to come.
     read = jnp.sum(share * read, axis=0)
     slant = jnp.sum(n * ray, axis=1)
     white = (scatter * slant) ** 2
-    tilted = (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0)
+    tilted = (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0) if turned is None else hazy
     lasting = params.lasting**2 + (params.share * scatter) ** 2
     once = 1 / jnp.maximum(read, 1)
     variance = (params.floor**2 + white + planes.thickness**2) * (1 + params.fresh * once) + tilted
@@ -155,7 +176,8 @@ def match(
     variance = (variance + again * lasting) ** 2 / variance
     odd = jnp.sum(jnp.where(inside, residual**2 / (white * (1 + 1 / read) + lasting + tilted + params.uneven**2), 0))
     misfit = jnp.sum(jnp.where(points.valid, jnp.where(inside, shares, 1), 0))
-    return Rows(residual, design, lever, jnp.where(inside, 1 / variance, 0), known, misfit, odd)
+    far = None if turned is None else hazy / points.reach**2
+    return Rows(residual, design, lever, jnp.where(inside, 1 / variance, 0), known, misfit, odd, mount, far)
 
 
 def _alike(whole: Array, along: Array, covariance: Array) -> Array:
@@ -170,7 +192,7 @@ def _alike(whole: Array, along: Array, covariance: Array) -> Array:
     return jnp.clip(jnp.sum(spread * along, axis=1) / jnp.where(total > 0, total, 1), 0, 1)
 
 
-def sums(rows: Rows, points: Points, spare: Array) -> Sums:
+def sums(rows: Rows, points: Points, spare: Array, turned: Turned | None = None) -> Sums:
     """Sum rows up; what the link may have moved on its own, with covariance `spare` (6, 6), is marginalised out.
 
     Residuals of one scan share the errors of their planes and of the link, so that however many they are, they do not
@@ -180,6 +202,10 @@ def sums(rows: Rows, points: Points, spare: Array) -> Sums:
     table = jnp.concatenate([rows.design, rows.lever, rows.residual[:, None]], axis=1)
     gram = product((table * rows.weight[:, None]).T, table)
     state, own = slice(0, dimension), slice(dimension, dimension + 6)
+    if turned is not None:
+        gram, through, apart, before = taken_out(
+            gram, table, rows.mount, rows.weight, rows.far, points.sensor, turned.covariance, turned.scans
+        )
     pose = gram[own, own]
     shared = jnp.linalg.solve(jnp.eye(6, dtype=gram.dtype) + product(spare, pose), spare)
     cross = gram[state, own]
@@ -187,8 +213,9 @@ def sums(rows: Rows, points: Points, spare: Array) -> Sums:
     information = symmetric(gram[state, state] - product(held, cross.T))
     pull = -(gram[state, -1] - product(held, gram[own, -1]))
     used = rows.weight > 0
-    counts = (jnp.sum(m, dtype=jnp.int32) for m in (used, rows.matched, points.valid))
-    return Sums(information, pull, pose, *counts)
+    inliers, matched, seen = (jnp.sum(m, dtype=jnp.int32) for m in (used, rows.matched, points.valid))
+    aims = None if turned is None else Aims(through, apart, before, shared, cross, gram[own, -1])
+    return Sums(information, pull, pose, inliers, matched, seen, aims)
 
 
 __all__ = ["Points", "Pose", "Rows", "Sums", "match", "moved", "point_slope", "sums", "world"]

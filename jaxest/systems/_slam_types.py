@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from jaxest.mapping import VoxelMap
 from jaxest.systems._slam_body import Mean
+from jaxest.systems._slam_tilt import Mounts
 from jaxest.types import Array, ArrayLike, Reading
 
 FOLLOWS, LOST, UNSEEN, FULL = 4, 5, 6, 7
@@ -30,7 +31,8 @@ class Params(NamedTuple):
     """() by how much a distance's variance is more than that, by the readings' where voxels were read once: such planes
     lie askew."""
     tilt: ArrayLike = 0.0
-    """() rad, standard deviation of a sensor's direction about each axis."""
+    """() rad, standard deviation of a sensor's direction about each axis, before the first scan: `build(align=True)`
+    estimates the directions, otherwise residuals and links are trusted less for it."""
     gate: ArrayLike = 0.04
     """() m^0.5, a residual beyond this times the root of its range, and three times its noise, does not count."""
     thickness: ArrayLike = 0.005
@@ -104,6 +106,8 @@ class State(NamedTuple):
     """(6,) m/s and rad/s, how a free root moved in the last step, in its own axes then."""
     usual: Array
     """() share of the first link's points about which there was a map that lay on its planes."""
+    mounts: Mounts | None
+    """How sensors are turned, where that is estimated."""
     index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
     """() int32, steps seen."""
 

@@ -33,6 +33,7 @@ from jaxest.systems._slam_link import repeats, walk
 from jaxest.systems._slam_register import Carry, Config, Seen, amiss, rebased
 from jaxest.systems._slam_rows import Points
 from jaxest.systems._slam_simulation import simulate
+from jaxest.systems._slam_tilt import begin, carries, unknowns
 from jaxest.systems._slam_types import FOLLOWS, FULL, LOST, UNSEEN, Fixed, Free, Info, Params, State
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, Reading, System
 
@@ -51,6 +52,7 @@ def build(
     rounds: int = 6,
     least: int = 12,
     central: bool = False,
+    align: bool = False,
 ) -> System:
     """Build the SLAM of one robot.
 
@@ -63,6 +65,7 @@ def build(
         rounds: searches for planes in an update at most; the first scans take some, later ones one.
         least: inliers without which a link keeps its prediction.
         central: whether a voxel keeps the point nearest to its centre, as the paper does, instead of the mean.
+        align: whether to find out how each sensor is turned from where it is believed to look, by about `Params.tilt`.
 
     Returns:
         The system. A measurement is `Fixed` or, where the root is free, `Free`.
@@ -79,13 +82,13 @@ def build(
     measurement = Fixed if body.root is None else Free
     return System(
         Params(),
-        partial(init, body, config.layout, capacity),
+        partial(init, body, config.layout, capacity, align),
         partial(_step, body, config),
         partial(simulate, body, measurement),
     )
 
 
-def init(body: Body, layout: Layout, capacity: int, params: Params, *, key: Array | None = None) -> State:
+def init(body: Body, layout: Layout, capacity: int, align: bool, params: Params, *, key: Array | None = None) -> State:
     """Return the state that has seen nothing: no map, and the root at its home, which places the map in the world."""
     del key
     dtype = jnp.result_type(*jax.tree.leaves(params))
@@ -95,9 +98,13 @@ def init(body: Body, layout: Layout, capacity: int, params: Params, *, key: Arra
         spread = jnp.concatenate([jnp.zeros(6, dtype), spread])
     at = np.array([body.robot.topology.joint_q[j] for j in body.joints], int)
     reading = jnp.asarray(body.robot.home[at], dtype)
-    chart = empty(layout, capacity, 3 * n, dtype)
-    still, unseen = jnp.zeros(6, dtype), jnp.zeros((), dtype)
-    return State(bodies.home(body, dtype), jnp.diag(spread), chart, reading, still, unseen, jnp.zeros((), jnp.int32))
+    mounts, extra = None, 3 * n
+    if align:
+        mounts, common = begin(body, jnp.asarray(params.tilt, dtype))
+        spread, extra = jnp.concatenate([spread, common]), extra + carries(body)
+    chart = empty(layout, capacity, extra, dtype)
+    still, unseen, none = jnp.zeros(6, dtype), jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
+    return State(bodies.home(body, dtype), jnp.diag(spread), chart, reading, still, unseen, mounts, none)
 
 
 def points_of(body: Body, ranges: Reading) -> Points:
@@ -126,15 +133,18 @@ def _step(
     noise = jnp.where(there, params.encoder, params.missing) ** 2 * jnp.ones(n, dtype)
     mean, covariance, doubt = _predict(body, params, state, measurement)
     links = bodies.links(body, mean, reading, body.scanned)
-    start = Carry(mean, covariance, state.chart, state.mean.bias, links)
+    start = Carry(mean, covariance, state.chart, unknowns(state.mean.bias, state.mounts), links, state.mounts)
     points = points_of(body, measurement.ranges)
+    if state.mounts is not None:
+        points = points._replace(sensor=jnp.asarray(body.rays.sensor, jnp.int32))
     before = bodies.links(body, state.mean, state.reading, body.scanned)
     scans = repeats(params, links, before, state.index)
     carry, seen = walk(body, config, params, start, reading, noise, points, scans, state.index, doubt, state.usual)
     carry = rebased(carry, 0.0)
     info = _info(body, config, params, carry, seen, reading, noise, broken, state.chart)
     pace = _pace(state.mean, carry.mean, measurement.dt) if body.root is not None else state.pace
-    after = State(carry.mean, carry.covariance, carry.chart, reading, pace, _usual(state, seen), state.index + 1)
+    usual, index = _usual(state, seen), state.index + 1
+    after = State(carry.mean, carry.covariance, carry.chart, reading, pace, usual, carry.mounts, index)
     # The map keeps what it was given: it takes no point of a link that is not known well.
     belief, info = within_range(state._replace(chart=None), after._replace(chart=None), info)  # type: ignore[arg-type]
     return belief._replace(chart=carry.chart), info
@@ -149,6 +159,7 @@ def _predict(body: Body, params: Params, state: State, measurement: Any) -> tupl
     mean, covariance = state.mean, state.covariance
     n, dt = len(body.joints), jnp.asarray(measurement.dt, covariance.dtype)
     grown = jnp.broadcast_to(params.bias_walk**2, (n,)) * dt
+    grown = jnp.pad(grown, (0, len(covariance) - body.size))  # sensors stay as they were mounted
     if body.root is None:
         none = jnp.zeros(6, covariance.dtype)
         return mean, covariance + jnp.diag(grown), none
@@ -174,7 +185,7 @@ def _predict(body: Body, params: Params, state: State, measurement: Any) -> tupl
     rotation = quaternion.to_matrix(mean.quaternion)
     step = product(rotation, travel)
     # The travel is in the root's axes, so that an error of its rotation moves it sideways.
-    slope = jnp.eye(body.size, dtype=covariance.dtype)
+    slope = jnp.eye(len(covariance), dtype=covariance.dtype)
     slope = slope.at[:3, 3:6].set(-product(rotation, skew(travel)))
     slope = slope.at[3:6, 3:6].set(quaternion.to_matrix(quaternion.exp(turn)).T)
     covariance = symmetric(product(product(slope, covariance), slope.T))
@@ -204,7 +215,7 @@ def _info(
     body: Body, config: Config, params: Params, carry: Carry, seen: Seen, reading: Array, noise: Array, broken: Array,
     before: VoxelMap,
 ) -> Info:  # fmt: skip
-    mean, covariance = carry.mean, carry.covariance
+    mean, covariance = carry.mean, carry.covariance[: body.size, : body.size]
     links = carry.links if body.links == body.scanned else bodies.links(body, mean, reading, body.links)
     slope = jnp.concatenate([links.turn, links.travel], axis=1)
     roots = body.size - len(body.joints)

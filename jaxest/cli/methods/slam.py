@@ -26,7 +26,7 @@ def schema() -> dict[str, Any]:
     one = {"frame": str, "position": list, "directions": list, "minimum": float, "maximum": float}
     return {
         **dict.fromkeys(WORDS, str), **dict.fromkeys(NUMBERS, float), "voxel": float, "capacity": int, "points": int,
-        "rings": {"*": ring}, "sensors": {"*": one},
+        "align": bool, "rings": {"*": ring}, "sensors": {"*": one},
     }  # fmt: skip
 
 
@@ -60,7 +60,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     robot, placed = kinematics.load(request.robot), sensors(settings)
     system = slam.build(
         robot, placed, layout=Hashed(settings.get("voxel", 0.2)), capacity=settings.get("capacity", 16384),
-        points=settings.get("points", 128),
+        points=settings.get("points", 128), align=settings.get("align", False),
     )  # fmt: skip
     time, given, free = _measurements(log, settings, robot, rays(placed))
     params = system.default_params._replace(**{k: settings[k] for k in NUMBERS if k in settings})
@@ -81,6 +81,11 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
         streams[f"{body}/orientation"] = Stream(time, info.quaternion[:, k].astype(float), "1")
     chart = np.asarray(state.chart.point)[: int(state.chart.used)].astype(float)
     rows = _rows(time, names, info, robot)
+    if state.mounts is not None:
+        turned = np.asarray(state.mounts.ring)[:, None] + np.asarray(state.mounts.turn)
+        angle = np.rad2deg(np.linalg.norm(turned, axis=2))
+        rows.append(Row("turn of a sensor", "mean", float(angle.mean()), "deg"))
+        rows.append(Row("turn of a sensor", "largest", float(angle.max()), "deg"))
 
     def draw(path: Path, title: str) -> None:
         from jaxest.io.clouds import Cloud, write_cloud

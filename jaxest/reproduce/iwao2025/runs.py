@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import shutil
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -93,10 +94,12 @@ def measurements(one: Condition, plan: Plan, made: Made) -> slam.Fixed:
 
 
 @functools.cache
-def system(links: int, rows: int, columns: int, chain: bool = False, free: bool = False) -> tuple[Any, System]:
+def system(
+    links: int, rows: int, columns: int, chain: bool = False, free: bool = False, align: bool = False
+) -> tuple[Any, System]:
     """Return the structure and its filter, built once."""
     robot = kinematics.load(rooms.structure(links, free=free))
-    build: Any = slam_chain.build if chain else slam.build
+    build: Any = slam_chain.build if chain else partial(slam.build, align=align)
     return robot, build(robot, rooms.sensors(links, rows=rows, columns=columns))
 
 
@@ -106,9 +109,8 @@ def told(one: Condition, params: Any, chain: bool = False) -> Any:
         level = {0.01: 0.002, 0.02: 0.003, 0.05: 0.005, 0.07: 0.01}[one.noise]
         params = params._replace(variance=level)
     else:
-        # Uniform up to the largest angle about an axis in any direction is a third of it about each; it does not
-        # change from scan to scan, for which it counts twice.
-        params = params._replace(noise=one.noise / proximity.SIGMAS, tilt=2 * np.deg2rad(one.tilt_deg) / 3)
+        # Uniform up to the largest angle about an axis in any direction is a third of it about each.
+        params = params._replace(noise=one.noise / proximity.SIGMAS, tilt=np.deg2rad(one.tilt_deg) / 3)
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params)
 
 
@@ -135,7 +137,7 @@ def poses(robot: Any, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def estimated(one: Condition, plan: Plan, made: Made, chain: bool = False) -> Found:
     """Run the filter over a simulated run."""
-    robot, built = system(one.links, one.rows, one.columns, chain)
+    robot, built = system(one.links, one.rows, one.columns, chain, align=one.tilt_deg > 0)
     given = measurements(one, plan, made)
     params = told(one, built.default_params, chain)
     state, info = jax.block_until_ready(run(built.step, params, built.init(params), given))
