@@ -7,6 +7,7 @@ Write the model once (`Model`, `Prior`, `Data`); `chains.untuned` linearises it 
 `chains.advance` drives many chains with `filters.run`.
 
 Start chains from `chains.dispersed` and read `diagnostics.verdict`: one chain cannot see that its path is frozen.
+All is float64 here (`JAX_ENABLE_X64=1`), for variances of 1e-7 meet data of size 1.
 
 `particle_gibbs.baseline` and `particle_mh.baseline` are the samplers of Zakeri 2023. Not here: checkpoints and files
 (`jaxest.io`), and robots (`jaxest.systems.torque`).

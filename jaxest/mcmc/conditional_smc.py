@@ -66,6 +66,9 @@ def run(
 
     Returns:
         A path and what became of the weights.
+
+    Raises:
+        ValueError: the twist is not whole.
     """
     steps, n = linear.path.shape
     keys = jax.random.split(key, 3)
@@ -75,7 +78,8 @@ def run(
     body = _Body(model, params, data, linear, unknown, threshold, ancestors)
     x = _propose(twist, 0, jnp.broadcast_to(linear.offset[0], (count, n)), shift, normal[0])
     x = x if kept is None else x.at[0].set(kept[0])
-    assert twist.link is None or twist.ahead is not None, "the twist must be whole"
+    if twist.link is not None and twist.ahead is None:
+        raise ValueError("twist: got one without `ahead`, expected a whole one: `twist.backward(..., whole=True)`")
     at_first = None if twist.ahead is None else twist.ahead[0]
     first = _quadratic(at_first, twist.ahead_log[0], linear.offset[0][None], shift)[0]
     log = jnp.full(count, -jnp.log(jnp.asarray(count, x.dtype)))

@@ -89,9 +89,11 @@ def verdict(
         update: smallest update rate that is fine.
 
     Returns:
-        The verdict. A frozen path is looked for first: one chain alone cannot see it in its draws.
+        The verdict. Draws that are no numbers are said first, then a frozen path: one chain alone cannot see it in its
+        draws.
     """
-    reasons = []
+    lost = [name for name, one in summaries.items() if not np.isfinite([one.mean, one.sd]).all()]
+    reasons = [f"draws that are not finite: of {', '.join(lost)}"] if lost else []
     if updates is not None:
         reasons += _frozen(np.atleast_2d(np.asarray(updates, float)), times, update)
     worst = max(summaries, key=lambda name: _bad(summaries[name].r_hat), default=None)

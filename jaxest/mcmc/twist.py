@@ -212,8 +212,13 @@ def draw(given: Flow, linear: Linear, normal: Array, moved: Array | None = None)
 
 
 def whiten(twist: Twist, linear: Linear, theta: Array, path: Array) -> Array:
-    """Return the standard normal numbers (T, n) of which `draw` makes a path (T, n)."""
-    assert twist.link is not None, "nothing is known of the data"
+    """Return the standard normal numbers (T, n) of which `draw` makes a path (T, n).
+
+    Raises:
+        ValueError: the twist is that of `nothing`.
+    """
+    if twist.link is None:
+        raise ValueError("twist: got one that knows nothing of the data, expected one of `backward` or `next_only`")
     away = path - linear.path
     before = jnp.concatenate([jnp.zeros_like(away[:1]), away[:-1]])
     shift = theta - linear.centre

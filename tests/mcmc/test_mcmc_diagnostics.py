@@ -55,6 +55,12 @@ def test_chains_apart_and_few_draws_are_named():
     assert "too few effective draws: bulk" in found.reasons[0]
     constant = diagnostics.summary(np.zeros((2, 10)))
     assert not diagnostics.verdict({"a": constant}).good
+    for lost in (np.inf, np.nan):
+        draws = np.random.default_rng(0).normal(size=(4, 400))
+        draws[0, 3] = lost
+        with np.errstate(invalid="ignore"):
+            found = diagnostics.verdict({"a": diagnostics.summary(draws)})
+        assert found.reasons[0] == "draws that are not finite: of a"
 
 
 def test_wrong_shape():
