@@ -109,7 +109,8 @@ def forward_dynamics(robot: Robot, q: ArrayLike, v: ArrayLike, tau: ArrayLike, p
         passive: static; whether to add `passive_torque`: damping, springs and friction loss.
 
     Returns:
-        (nv,) accelerations, rad/s2 or m/s2: MuJoCo's `qacc_smooth`, save friction loss (see `passive_torque`).
+        (nv,) accelerations, rad/s2 or m/s2: MuJoCo's `qacc_smooth`, save friction loss (see `passive_torque`) and what
+        `robot.notes` says was left out.
 
     Raises:
         ValueError: an argument has the wrong shape.

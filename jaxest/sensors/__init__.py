@@ -6,6 +6,8 @@ counts exactly 0. `joint_angle` looks at hinges (n,), `slide_position` at slides
 `gravity_direction` and `end_effector_pose` at one frame, `relative_orientation` at two: what
 `jaxest.kinematics.forward` gives for them.
 
+`proximity` describes ranging sensors, which are compared with a map (`jaxest.systems.slam`).
+
 `Sensor(kind, name, frames)` describes one on a robot, `measurement_type` what a step of several looks like, and
 `check_params` and `check_measurements` find bad numbers on the host before anything runs.
 
