@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest.manifolds._algebra import matmul as product
 from jaxest.types import Array
 
 _SWEEPS = {"float32": 5, "float64": 6}
@@ -92,11 +93,6 @@ def _(primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple[Array, Array
     return (w, v), (jnp.diagonal(moved), product(v, turn))
 
 
-def product(a: Array, b: Array) -> Array:
-    """Return `a @ b` in full precision; a GPU rounds the factors of a float32 product otherwise."""
-    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
-
-
 def inner(v: Array, matrix: Array) -> Array:
     """Return v^T matrix v."""
     return product(v.T, product(matrix, v))
@@ -105,3 +101,6 @@ def inner(v: Array, matrix: Array) -> Array:
 def outer(v: Array, values: Array) -> Array:
     """Return v diag(values) v^T."""
     return product(v * values[None, :], v.T)
+
+
+__all__ = ["eigh", "inner", "outer", "product"]

@@ -175,15 +175,25 @@ class Flow(NamedTuple):
 
 
 def flow(twist: Twist, linear: Linear, theta: Array) -> Flow:
-    """Return how states follow each other given all data, in deviations from the linear model's path."""
+    """Return how states follow each other given all data, in deviations from the linear model's path.
+
+    Raises:
+        ValueError: the twist is that of `nothing`.
+    """
     n = linear.path.shape[1]
     root = jnp.swapaxes(twist.inverse, 1, 2)
-    back = product(root, twist.link)
+    back = product(root, _link(twist))
     left = jnp.eye(n, dtype=theta.dtype)[None] - back[:, :, :n]
     away = theta - linear.centre
     shift = linear.offset + jnp.einsum("tip,p->ti", linear.design, away)
     offset = jnp.einsum("tij,tj->ti", left, shift) - back[:, :, n] - jnp.einsum("tip,p->ti", back[:, :, n + 1 :], away)
     return Flow(product(left, linear.jacobian), offset, root, left)
+
+
+def _link(twist: Twist) -> Array:
+    if twist.link is None:
+        raise ValueError("twist: got one that knows nothing of the data, expected one of `backward` or `next_only`")
+    return twist.link
 
 
 def draw(given: Flow, linear: Linear, normal: Array, moved: Array | None = None) -> Array:
@@ -217,16 +227,15 @@ def whiten(twist: Twist, linear: Linear, theta: Array, path: Array) -> Array:
     Raises:
         ValueError: the twist is that of `nothing`.
     """
-    if twist.link is None:
-        raise ValueError("twist: got one that knows nothing of the data, expected one of `backward` or `next_only`")
+    link = _link(twist)
     away = path - linear.path
     before = jnp.concatenate([jnp.zeros_like(away[:1]), away[:-1]])
     shift = theta - linear.centre
     ahead = jnp.einsum("tij,tj->ti", linear.jacobian, before) + linear.offset
     ahead = ahead + jnp.einsum("tip,p->ti", linear.design, shift)
     n = away.shape[1]
-    mixed = jnp.einsum("tij,tj->ti", twist.link[:, :, :n], ahead) + twist.link[:, :, n]
-    mixed = mixed + jnp.einsum("tip,p->ti", twist.link[:, :, n + 1 :], shift)
+    mixed = jnp.einsum("tij,tj->ti", link[:, :, :n], ahead) + link[:, :, n]
+    mixed = mixed + jnp.einsum("tip,p->ti", link[:, :, n + 1 :], shift)
     return jnp.einsum("tji,tj->ti", twist.root, away - ahead) + mixed
 
 

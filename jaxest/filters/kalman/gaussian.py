@@ -1,12 +1,13 @@
 """Gaussian beliefs on a manifold, and carrying them through a function."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import block_diag
 
+from jaxest.manifolds._algebra import matmul as product
 from jaxest.manifolds.base import Manifold, as_array
 from jaxest.types import Array, ArrayLike, PyTree
 
@@ -78,11 +79,6 @@ def predict(
     if noise is not None:
         carried = carried + as_array("noise", noise, target.dim, target.dim)
     return Gaussian(mean, symmetric(carried))
-
-
-def product(a: Any, b: Any) -> Array:
-    """Matrix product in full precision: a GPU rounds the factors of a float32 product to 10 bits by default."""
-    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
 
 def sandwich(a: Array, p: Array) -> Array:

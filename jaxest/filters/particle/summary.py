@@ -1,12 +1,13 @@
 """What a cloud of weighted particles says: mean, covariance, intervals."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from jaxest.filters.particle._flat import flat
 from jaxest.filters.resampling import normalize
+from jaxest.manifolds._algebra import matmul
 from jaxest.manifolds.base import Manifold
 from jaxest.types import Array, ArrayLike, PyTree
 
@@ -52,9 +53,9 @@ def weighted(manifold: Manifold, particles: PyTree, weights: Array, passes: int 
     mean = jax.tree.map(lambda x: x[jnp.argmax(weights)], particles)
     for _ in range((2 if flat(manifold) else 4) if passes is None else passes):
         mean = jax.lax.stop_gradient(mean)
-        mean = manifold.retract(mean, _dot(weights, differences(mean, particles)))
+        mean = manifold.retract(mean, matmul(weights, differences(mean, particles)))
     rest = differences(mean, particles)
-    return mean, _dot((weights[:, None] * rest).T, rest)
+    return mean, matmul((weights[:, None] * rest).T, rest)
 
 
 def interval(
@@ -92,10 +93,6 @@ def interval(
 
     lower, upper = jax.vmap(ends, 1, 1)(differences)
     return Interval(centre, lower, upper)
-
-
-def _dot(a: Any, b: Any) -> Array:
-    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
 
 __all__ = ["Interval", "interval", "mean_and_covariance", "weighted"]
