@@ -20,6 +20,7 @@ from jaxest import kinematics, live, models
 from jaxest.bench.deflection import SENSORS
 from jaxest.bench.harness import Progress
 from jaxest.io.report import Row
+from jaxest.live.sources import Source
 from jaxest.systems import deflection
 
 RATE_HZ, DEADLINE, PARTICLES = 1000, 1e-3, 64
@@ -123,13 +124,21 @@ def fed(seconds: float, particles: int = PARTICLES) -> Fed:
         sender.stdin.close()
         senders.append(sender)
 
-    source = live.from_udp(0, ready=start)
+    source = _while_sent(live.from_udp(0, ready=start), senders)
     outcome = live.drive(system.step, params, system.init(params, key=key), source, template, key=key,
                          deadline=DEADLINE, emit=emit)  # fmt: skip
     for sender in senders:
         sender.wait()
     unit = 2**10 if sys.platform == "linux" else 2**20
     return Fed(outcome, count, (peaks[-1] - peaks[0]) / unit if len(peaks) > 1 else 0.0)
+
+
+def _while_sent(source: Source, senders: list[Any]) -> Source:
+    """End where the sender has, too: its last datagram is lost where the machine is too slow for the others."""
+    for sample in source:
+        if sample is live.IDLE and senders and senders[0].poll() is not None:
+            return
+        yield sample
 
 
 def _lines(measurements: Any) -> str:
