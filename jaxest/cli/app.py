@@ -9,7 +9,7 @@ import jaxest
 from jaxest.cli import bench, compare, demo, doctor, estimate, inspect, reproduce, show, tune
 
 EPILOG = (
-    "Start with [bold]jaxest demo[/], then [bold]jaxest inspect[/] a robot (MJCF, URDF) or a log (NPZ, CSV) of "
+    "Start with [bold]jaxest demo[/], then [bold]jaxest inspect[/] a robot (MJCF, URDF) or a log (NPZ, CSV, ...) of "
     "yours.\n\n"
     "jaxest inspect my_robot.urdf\n\n"
     "jaxest inspect log.csv\n\n"

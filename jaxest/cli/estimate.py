@@ -37,7 +37,9 @@ EXAMPLES = (
 
 @command
 def run(
-    log: Annotated[Path, typer.Argument(help="Log to read: NPZ or CSV, in jaxest's layout or anybody's.")],
+    log: Annotated[
+        Path, typer.Argument(help="Log to read (NPZ, CSV, Parquet, HDF5, bag), in jaxest's layout or anybody's.")
+    ],
     method: Annotated[
         str,
         typer.Option(

@@ -233,10 +233,15 @@ def _units(log: SensorLog, name: str, item: Stream) -> list[str]:
 
 
 def _beside(log: SensorLog, name: str, item: Stream) -> NDArray[Any] | None:
-    """Return the accelerometer of the same owner, or the only one, at this stream's times, NaN where it is silent."""
-    partner = log.streams.get(name.removesuffix(units.kind_of(name)) + "accelerometer")
+    """Return the accelerometer of the same owner at this stream's times, NaN where it says nothing.
+
+    A camera's orientation has none of its own: the only one of the log is taken, if there is only one.
+    """
+    kind = units.kind_of(name)
+    partner = log.streams.get(name.removesuffix(kind) + "accelerometer")
     every = [other for key, other in log.streams.items() if units.kind_of(key) == "accelerometer"]
-    partner = every[0] if partner is None and len(every) == 1 else partner
+    if partner is None and kind == "orientation" and len(every) == 1:
+        partner = every[0]
     if partner is None or partner.value.dtype.kind != "f":
         return None
     beside = SensorLog({"accelerometer": partner}, log.source)
