@@ -2,10 +2,11 @@
 
 `trajectories.random_motion` moves a robot within its limits, `imu.record` tells what an IMU on one of its frames reads
 meanwhile, with the truth beside it, `deflection.simulate` what
-encoders, IMUs and markers on a robot say that bends. `rooms` and `proximity` put a structure with ranging sensors into
+encoders, IMUs and markers on a robot say that bends. `along.readings` says what an IMU
+reads on a motion that is known at samples only. `rooms` and `proximity` put a structure with ranging sensors into
 a room and cast their rays through MuJoCo; `boxes` does it in JAX.
 """
 
-from jaxest.simulate import boxes, deflection, grasp, imu, proximity, rooms, trajectories
+from jaxest.simulate import along, boxes, deflection, grasp, imu, proximity, rooms, trajectories
 
-__all__ = ["boxes", "deflection", "grasp", "imu", "proximity", "rooms", "trajectories"]
+__all__ = ["along", "boxes", "deflection", "grasp", "imu", "proximity", "rooms", "trajectories"]

@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from jaxest.types import InputError
 
@@ -46,6 +45,8 @@ def readings(position: ArrayLike, quaternion: ArrayLike, dt: float, gravity: Arr
     Raises:
         InputError: fewer than three poses, or not as many of both.
     """
+    from scipy.spatial.transform import Rotation
+
     place, turns = np.asarray(position, float), np.asarray(quaternion, float)
     if len(place) < 3 or len(place) != len(turns):
         raise InputError(

@@ -7,7 +7,8 @@ are all that is needed; `jaxest.filters.run` drives the step.
 * `deflection`: the posture of a robot that bends; `direct_fusion` is its baseline by hand.
 * `onsite`: the pose of one IMU relative to another on the same link, live; `onsite_batch` for a whole recording,
   `onsite_chain` for a robot of modules and sticks, `onsite_drift` for tuning what it forgets.
-* `slam`: where links are, and the room about them; `slam_chain` as the paper has it.
+* `slam`: where links are, and the room about them; `slam_inertial` with an IMU on a free root, `slam_chain` as the
+  paper has it.
 * `torque`: unknown joint torques; their posterior by `torque_sampler`; `torque_evidence` for tuning noise.
 
 Each loads on first use. Not here: the filters themselves (`jaxest.filters`), logs and commands.
@@ -28,6 +29,7 @@ __all__ = [
     "posture_pairs",
     "slam",
     "slam_chain",
+    "slam_inertial",
     "torque",
     "torque_evidence",
     "torque_sampler",

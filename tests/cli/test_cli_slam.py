@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from jaxest.cli.methods import Request, slam
+from jaxest.cli.methods.slam_imu import driven
 from jaxest.io import SensorLog, Stream, read, write
 from jaxest.io.clouds import read_cloud
 from jaxest.sensors.proximity import ring
 from jaxest.simulate import proximity, rooms
+from jaxest.systems.slam import Free
 from jaxest.types import InputError
 
 CONFIG = """
@@ -75,6 +77,9 @@ def test_a_log_becomes_poses_biases_and_a_map(log, tmp_path, capsys, monkeypatch
         ({"rings": {"a": {"frame": "root"}}}, "has 192 columns, the config's sensors 512 zones"),
         ({"rings": {"a": {"frame": "toor"}}}, "frame 'toor' does not exist"),
         ({"rings": {"a": {"frame": "root"}}, "ranges": "rangs"}, "did you mean 'ranges'"),
+        ({"rings": {"a": {"frame": "root"}}, "noise": 0.0}, r"\[slam\] noise: got 0, expected a finite .* more than 0"),
+        ({"rings": {"a": {"frame": "root"}}, "swing": -1.0}, r"\[slam\] swing: got -1, expected a finite"),
+        ({"rings": {"a": {"frame": "root"}}, "imu": "root"}, "imu 'root': the robot's root is fixed"),
     ],
 )
 def test_what_cannot_be_is_named(log, tmp_path, settings, message):
@@ -84,3 +89,24 @@ def test_what_cannot_be_is_named(log, tmp_path, settings, message):
         slam.estimate(log, Request(settings, robot=robot))
     with pytest.raises(InputError, match="needs a robot"):
         slam.estimate(log, Request(settings))
+
+
+def test_an_imus_samples_belong_to_the_scan_that_follows():
+    """100 Hz beside scans at 10: ten samples each, none before the first scan, and a missing value is told."""
+    scans, time = 0.1 * np.arange(1, 5), 0.01 * np.arange(1, 60)
+    value = np.tile(time[:, None], 3)
+    value[22] = np.nan
+    log = SensorLog({
+        "ranges": Stream(scans, np.ones((4, 2)), "m"),
+        "gyroscope": Stream(time, value, "rad/s"),
+        "accelerometer": Stream(time, np.ones((59, 3)), "m/s^2"),
+    })  # fmt: skip
+    given = driven(log, {}, Free(None, None, None, None, np.full(4, 0.1)))
+    assert given.gyroscope.value.shape == (4, 10, 3)
+    assert np.all(given.spacing[0] == 0)
+    np.testing.assert_allclose(given.spacing[1:].sum(1), 0.1, atol=1e-6)
+    np.testing.assert_allclose(given.gyroscope.value[1, :, 0], time[10:20], atol=1e-6)
+    assert (~given.gyroscope.valid).sum() == 1
+    assert not given.gyroscope.valid[2, 2]
+    with pytest.raises(InputError, match="expected three"):
+        driven(log, {"gyroscope_stream": "ranges"}, Free(None, None, None, None, np.full(4, 0.1)))

@@ -8,15 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.cli.methods import SIZE, Outcome, Request
+from jaxest.cli.methods.slam_imu import driven
 from jaxest.io import SensorLog, Stream, to_si
 from jaxest.io.log import stream, where
 from jaxest.io.report import Row
 from jaxest.types import InputError, unknown_name
 
 LOST = 0.1  # share of steps flagged as lost above which the result must not be used
-NUMBERS = ("noise", "floor", "tilt", "gate", "thickness", "bias_start", "bias_walk", "encoder", "root_walk", "travel",
-           "turn")  # fmt: skip
-WORDS = ("joints", "ranges", "travel_stream", "turn_stream")
+WORDS = ("joints", "ranges", "travel_stream", "turn_stream", "imu", "gyroscope_stream", "accelerometer_stream")
+POSITIVE = ("noise", "gate")  # the other numbers may be 0
+
+
+def numbers() -> tuple[str, ...]:
+    """Return the names of all parameters, in the units that `systems.slam.Params` says."""
+    from jaxest.systems.slam import Params
+
+    return Params._fields
 
 
 def schema() -> dict[str, Any]:
@@ -25,7 +32,7 @@ def schema() -> dict[str, Any]:
     ring = {"frame": str, "frames": list, **lengths, **dict.fromkeys(("count", "rows", "columns"), int)}
     one = {"frame": str, "position": list, "directions": list, "minimum": float, "maximum": float}
     return {
-        **dict.fromkeys(WORDS, str), **dict.fromkeys(NUMBERS, float), "voxel": float, "capacity": int, "points": int,
+        **dict.fromkeys(WORDS, str), **dict.fromkeys(numbers(), float), "voxel": float, "capacity": int, "points": int,
         "align": bool, "rings": {"*": ring}, "sensors": {"*": one},
     }  # fmt: skip
 
@@ -35,7 +42,8 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
     Args:
         log: streams `joints` (T, n) rad and `ranges` (T, R) m, or those that the config names; NaN or values beyond a
-            sensor's limits are zones that say nothing. A free root's odometry may come as `travel` and `turn` (T, 3).
+            sensor's limits are zones that say nothing. A free root's odometry may come as `travel` and `turn` (T, 3),
+            an IMU on it as `gyroscope` and `accelerometer` (n, 3) at their own times, if `imu` names its frame.
         request: the robot, and the config's table `[slam]` with `[slam.rings.NAME]` and `[slam.sensors.NAME]`, whose
             zones stand in `ranges` one after the other, in the config's order.
 
@@ -52,20 +60,30 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     from jaxest.filters import run
     from jaxest.mapping import Hashed
     from jaxest.sensors.proximity import rays
-    from jaxest.systems import slam
+    from jaxest.systems import slam, slam_inertial
 
     if request.robot is None:
         raise InputError("the method 'slam' needs a robot: --robot FILE (MJCF or URDF)")
     settings, log = request.settings, to_si(log)
     robot, placed = kinematics.load(request.robot), sensors(settings)
-    system = slam.build(
-        robot, placed, layout=Hashed(settings.get("voxel", 0.2)), capacity=settings.get("capacity", 16384),
-        points=settings.get("points", 128), align=settings.get("align", False),
-    )  # fmt: skip
+    told, imu = _told(settings), settings.get("imu")
+    options: dict[str, Any] = {
+        "layout": Hashed(settings.get("voxel", 0.2)), "capacity": settings.get("capacity", 16384),
+        "points": settings.get("points", 128), "align": settings.get("align", False),
+    }  # fmt: skip
+    if imu is None:
+        system = slam.build(robot, placed, **options)
+        params = system.default_params._replace(**told)
+    else:
+        system = slam_inertial.build(robot, placed, imu, **options)
+        params = system.default_params._replace(inner=system.default_params.inner._replace(**told))
     time, given, free = _measurements(log, settings, robot, rays(placed))
-    params = system.default_params._replace(**{k: settings[k] for k in NUMBERS if k in settings})
+    if imu is not None:
+        given = driven(log, settings, given)
     params = jax.tree.map(np.float32, params)
     state, info = run(system.step, params, system.init(params), given)
+    if imu is not None:
+        state, info = state.inner, info.inner
     info = jax.tree.map(np.asarray, info)
     names = tuple(name for name, kind in zip(robot.joint_names, robot.topology.joint_kind, strict=True)
                   if kind != "free")  # fmt: skip
@@ -95,8 +113,19 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
         write_cloud(cloud, path.with_name(f"{path.stem}_map.ply"))
         surroundings.draw(path, chart, info.position[-1], robot.topology.body_parent, title=title)
 
-    notes = [f"{len(placed)} sensors, {rays(placed)} zones; the root is {'free' if free else 'fixed'}"]
+    stands = ("free" + (", driven by an IMU" if imu else "")) if free else "fixed"
+    notes = [f"{len(placed)} sensors, {rays(placed)} zones; the root is {stands}"]
     return Outcome(SensorLog(streams, log.source), rows, notes, _refused(info), draw)
+
+
+def _told(settings: Mapping[str, Any]) -> dict[str, float]:
+    """Return the parameters that a config sets; raises InputError for a number that no parameter can be."""
+    found = {name: float(settings[name]) for name in numbers() if name in settings}
+    for name, value in found.items():
+        least = "more than 0" if name in POSITIVE else "at least 0"
+        if not np.isfinite(value) or value < 0 or (value == 0 and name in POSITIVE):
+            raise InputError(f"[slam] {name}: got {value:g}, expected a finite number, {least}")
+    return found
 
 
 def sensors(settings: Mapping[str, Any]) -> list[Any]:
