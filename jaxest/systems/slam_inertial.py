@@ -28,7 +28,7 @@ from jaxest.types import NON_FINITE, Array, ArrayLike, InputError, Reading, Syst
 class Params(NamedTuple):
     """What may be tuned; the IMU's are those of a small MEMS part after a factory calibration."""
 
-    inner: slam.Params = slam.Params(travel=0.002, turn=0.001)
+    inner: slam.Params = slam.Params()
     """The SLAM's; its `travel` and `turn` are added to what the IMU leaves."""
     gyroscope: ArrayLike = 9e-5
     """() rad/s per root Hz, white noise."""
@@ -138,9 +138,11 @@ def build(robot: Robot, sensors: Sequence[Proximity], imu: str, **options: Any) 
     owner = at if at < bodies else topology.site_body[at - bodies]
     if owner != root:
         raise InputError(f"imu {imu!r}: expected the root {topology.body_names[root]!r} or a site on it")
-    mount = se3.Pose(np.array([1.0, 0, 0, 0]), np.zeros(3))
+    turn: Any = np.array([1.0, 0, 0, 0])
+    place: Any = np.zeros(3)
     if at >= bodies:
-        mount = se3.Pose(np.asarray(robot.site_quaternion[at - bodies]), np.asarray(robot.site_position[at - bodies]))
+        turn, place = np.asarray(robot.site_quaternion[at - bodies]), np.asarray(robot.site_position[at - bodies])
+    mount = se3.Pose(turn, place)
     inner = slam.build(robot, sensors, **options)
     setup = Setup(inner, mount, np.asarray(robot.gravity, float))
     return System(Params(), partial(init, setup), partial(_step, setup), inner.simulate)

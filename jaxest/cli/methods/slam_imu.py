@@ -39,7 +39,7 @@ def driven(log: SensorLog, settings: Mapping[str, Any], given: Any) -> Any:
     rank = np.arange(len(time)) - np.searchsorted(step, step)
     most = int(rank[between].max(initial=0)) + 1
     at = (step[between], rank[between])
-    read = []
+    read: list[Any] = []
     for item in items:
         value = np.asarray(item.value, float).reshape(len(item.time), 3)
         value = np.stack([np.interp(time, item.time, column, np.nan, np.nan) for column in value.T], axis=1)
@@ -48,9 +48,9 @@ def driven(log: SensorLog, settings: Mapping[str, Any], given: Any) -> Any:
         finite = np.isfinite(value).all(axis=1)
         table[at], there[at] = np.where(finite[:, None], value, 0)[between], finite[between]
         read.append(Reading(table, there))  # type: ignore[arg-type]
-    spaced = np.zeros((len(scans), most), np.float32)
+    spaced: Any = np.zeros((len(scans), most), np.float32)
     spaced[at] = spacing[between]
-    return Driven(given.ranges, given.joints, *read, spaced, given.dt)  # type: ignore[arg-type]
+    return Driven(given.ranges, given.joints, read[0], read[1], spaced, given.dt)
 
 
 __all__ = ["driven"]

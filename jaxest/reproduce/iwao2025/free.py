@@ -132,7 +132,8 @@ def crawling(one: Condition, plan: runs.Plan, folder: Path | None) -> runs.Made:
         return runs.Made(room, believed, proximity.load(path))
     q = _moved(one.links, plan.seed, plan.seconds)[:: round(plan.dt / FINE)]
     model = proximity.compiled(rooms.scene(one.links, room, free=True))
-    scan = proximity.cast(model, believed, q, plan.dt * np.arange(len(q)))
+    time: Any = plan.dt * np.arange(len(q))
+    scan = proximity.cast(model, believed, q, time)
     proximity.save(scan, path)
     return runs.Made(room, believed, scan)
 
@@ -198,14 +199,14 @@ def _driven(
     """Run the filter whose root an IMU drives; a scan takes the samples since the one before."""
     built, steps = _inertial(one.links, one.rows, one.columns), len(fixed.dt)
     each = round(float(fixed.dt[0]) / FINE)
-    read = []
+    read: list[Any] = []
     for value in imu:
         rows = value[: (steps - 1) * each].reshape(steps - 1, each, 3)
         rows = np.concatenate([np.zeros((1, each, 3)), rows]).astype(np.float32)
         read.append(Reading(rows, np.ones((steps, each), bool)))  # type: ignore[arg-type]
-    spacing = np.full((steps, each), FINE, np.float32)
+    spacing: Any = np.full((steps, each), FINE, np.float32)
     spacing[0] = 0
-    given = slam_inertial.Driven(fixed.ranges, fixed.joints, *read, spacing, fixed.dt)  # type: ignore[arg-type]
+    given = slam_inertial.Driven(fixed.ranges, fixed.joints, read[0], read[1], spacing, fixed.dt)
     params = built.default_params
     params = jax.tree.map(jnp.float32, params._replace(inner=runs.told(one, params.inner)))
     state = built.init(params)
