@@ -10,6 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest import linalg
+
 
 class OrientationError(NamedTuple):
     """An orientation's error split on the group."""
@@ -224,7 +226,10 @@ def nees(error: Any, covariance: Any) -> Any:
     n = error.shape[-1]
     if covariance.shape[-2:] != (n, n):
         raise ValueError(f"covariance: got shape {covariance.shape}, expected (..., {n}, {n}) as error has")
-    return xp.sum(error * xp.linalg.solve(covariance, error[..., None])[..., 0], axis=-1)
+    if xp is np:
+        return np.sum(error * np.linalg.solve(covariance, error[..., None])[..., 0], axis=-1)
+    weighted = xp.vectorize(linalg.solve, signature="(n,n),(n)->(n)")(covariance, error)
+    return xp.sum(error * weighted, axis=-1)
 
 
 def nees_bounds(dof: int, runs: int = 1, probability: float = 0.95) -> Interval:

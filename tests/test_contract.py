@@ -5,6 +5,7 @@ the tests: the live step, a run of half the length, a batch of whole runs and a 
 rounding: two programs that compute the same formula may fuse it differently.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from functools import cache, partial
 from types import MappingProxyType
@@ -263,6 +264,14 @@ def test_a_batch_of_scans_is_a_loop_of_live_steps(case, row):
         assert int(state.index) == STEPS
         assert np.all(np.asarray(history.status) == OK)
         close((state, history), live_loop(case, params, measurements), row.factor)
+
+
+def test_a_batch_calls_no_batched_lapack(case):
+    # Where two such calls run at once on two threads, each waits for the other for ever; see docs/performance.md.
+    text = case.whole.lower(*stacked([(case.params, case.measurements)] * BATCH)).as_text()
+    for call in re.findall(r"custom_call @lapack.*", text):
+        shapes = [shape.split("x")[:-1] for shape in re.findall(r"tensor<((?:\d+x)+)[a-z]\d+>", call)]
+        assert all(set(shape[:-2]) <= {"1"} for shape in shapes if len(shape) > 1), call
 
 
 def test_ten_calls_trace_once(case):

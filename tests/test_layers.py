@@ -10,6 +10,7 @@ LAYERS = [
     "types",
     "files",
     "derivatives",
+    "linalg",
     "manifolds",
     "distributions",
     "kinematics",

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_solve, solve_triangular
 
+from jaxest import linalg
 from jaxest.distributions._checks import common_dtype
 from jaxest.manifolds.base import as_array, normalized
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike
@@ -61,8 +61,8 @@ def log_prob(x: ArrayLike, mean: ArrayLike, covariance: ArrayLike) -> Array:
     covariance = _covariance(covariance, x.shape[0], dtype)
     if covariance.ndim == 1:
         return -0.5 * jnp.sum(residual * residual / covariance + jnp.log(covariance) + _LOG_TURN)
-    root = jnp.linalg.cholesky(covariance)
-    white = solve_triangular(root, residual, lower=True)
+    root = linalg.cholesky(covariance)
+    white = linalg.solve_triangular(root, residual)
     return -0.5 * jnp.sum(white * white + _LOG_TURN) - jnp.sum(jnp.log(jnp.diagonal(root)))
 
 
@@ -77,7 +77,7 @@ def mean(mean: ArrayLike, covariance: ArrayLike) -> Array:
 def entropy(covariance: ArrayLike) -> Array:
     """Return the differential entropy (), nat, of a covariance (d, d) or (d,); raises ValueError for other shapes."""
     covariance = _covariance(covariance, None, common_dtype(covariance))
-    diagonal = covariance if covariance.ndim == 1 else jnp.diagonal(jnp.linalg.cholesky(covariance)) ** 2
+    diagonal = covariance if covariance.ndim == 1 else jnp.diagonal(linalg.cholesky(covariance)) ** 2
     return 0.5 * jnp.sum(jnp.log(diagonal) + 1 + _LOG_TURN)
 
 
@@ -105,7 +105,7 @@ def sample(key: Array, mean: ArrayLike, covariance: ArrayLike, shape: tuple[int,
     if covariance.ndim == 1:
         moved = z * jnp.sqrt(covariance)[None, :]
     else:
-        moved = jnp.matmul(z, jnp.linalg.cholesky(covariance).T, precision=jax.lax.Precision.HIGHEST)
+        moved = jnp.matmul(z, linalg.cholesky(covariance).T, precision=jax.lax.Precision.HIGHEST)
     return (centre[None, :] + moved).reshape(*whole, d)
 
 
@@ -128,7 +128,7 @@ def fit(xs: ArrayLike, weights: ArrayLike | None = None) -> Fit:
     apart = xs - centre[None, :]
     covariance = jnp.matmul((weights[:, None] * apart).T, apart, precision=jax.lax.Precision.HIGHEST)
     finite = jnp.all(jnp.isfinite(covariance)) & jnp.all(jnp.isfinite(weights)) & (jnp.sum(weights) > 0)
-    regular = jnp.all(jnp.isfinite(jnp.linalg.cholesky(covariance)))
+    regular = jnp.all(jnp.isfinite(linalg.cholesky(covariance)))
     status = jnp.where(finite, jnp.where(regular, OK, NOT_CONVERGED), NON_FINITE)
     return Fit(centre, covariance, status.astype(jnp.int32))
 
@@ -149,9 +149,9 @@ def from_information(information: ArrayLike, precision: ArrayLike) -> tuple[Arra
     dtype = common_dtype(information, precision)
     information = as_array("information", jnp.asarray(information, dtype), None)
     precision = square("precision", jnp.asarray(precision, dtype), information.shape[0])
-    root = (jnp.linalg.cholesky(precision), True)
-    covariance = cho_solve(root, jnp.eye(information.shape[0], dtype=dtype))
-    return cho_solve(root, information), (covariance + covariance.T) / 2
+    root = linalg.cholesky(precision)
+    covariance = linalg.cho_solve(root, jnp.eye(information.shape[0], dtype=dtype))
+    return linalg.cho_solve(root, information), (covariance + covariance.T) / 2
 
 
 def component_given_rest(x: ArrayLike, mean: ArrayLike, precision: ArrayLike, index: ArrayLike) -> tuple[Array, Array]:
@@ -198,9 +198,9 @@ def condition(mean: ArrayLike, covariance: ArrayLike, known: tuple[int, ...], va
     value = as_array("value", jnp.asarray(value, dtype), len(known))
     given = np.asarray(known, int)
     rest = np.setdiff1d(np.arange(mean.shape[0]), given)
-    root = jnp.linalg.cholesky(covariance[given][:, given])
-    gain = solve_triangular(root, covariance[given][:, rest], lower=True)
-    white = solve_triangular(root, value - mean[given], lower=True)
+    root = linalg.cholesky(covariance[given][:, given])
+    gain = linalg.solve_triangular(root, covariance[given][:, rest])
+    white = linalg.solve_triangular(root, value - mean[given])
     high = jax.lax.Precision.HIGHEST
     centre = mean[rest] + jnp.matmul(gain.T, white, precision=high)
     return centre, covariance[rest][:, rest] - jnp.matmul(gain.T, gain, precision=high)

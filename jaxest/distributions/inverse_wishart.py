@@ -4,9 +4,9 @@ import math
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import solve_triangular
 from jax.scipy.special import digamma, multigammaln
 
+from jaxest import linalg
 from jaxest.distributions._checks import common_dtype
 from jaxest.distributions.gaussian import square
 from jaxest.types import Array, ArrayLike
@@ -40,8 +40,8 @@ def log_prob(x: ArrayLike, dof: ArrayLike, scale: ArrayLike) -> Array:
     dof, scale = _arguments(dof, scale)
     x = square("x", jnp.asarray(x, scale.dtype), scale.shape[0])
     p = scale.shape[0]
-    root, other = jnp.linalg.cholesky(x), jnp.linalg.cholesky(scale)
-    trace = jnp.sum(solve_triangular(root, other, lower=True) ** 2)
+    root, other = linalg.cholesky(x), linalg.cholesky(scale)
+    trace = jnp.sum(linalg.solve_triangular(root, other) ** 2)
     constant = dof / 2 * (_log_det(other) - p * math.log(2)) - multigammaln(dof / 2, p)
     return constant - (dof + p + 1) / 2 * _log_det(root) - trace / 2
 
@@ -57,7 +57,7 @@ def entropy(dof: ArrayLike, scale: ArrayLike) -> Array:
     """Return the differential entropy (), nat, over the upper triangle; raises ValueError for wrong shapes."""
     dof, scale = _arguments(dof, scale)
     p = scale.shape[0]
-    half_log_det = _log_det(jnp.linalg.cholesky(scale)) - p * math.log(2)
+    half_log_det = _log_det(linalg.cholesky(scale)) - p * math.log(2)
     digammas = jnp.sum(digamma((dof - jnp.arange(p, dtype=scale.dtype)) / 2))
     return multigammaln(dof / 2, p) + (p + 1) / 2 * half_log_det - (dof + p + 1) / 2 * digammas + dof * p / 2
 
@@ -87,8 +87,8 @@ def sample(key: Array, dof: ArrayLike, scale: ArrayLike, shape: tuple[int, ...] 
     diagonal = jnp.sqrt(2 * jax.random.gamma(key_gamma, halves, dtype=dtype))
     below = jnp.tril(jax.random.normal(key_normal, (*whole, p, p), dtype), -1)
     bartlett = below + diagonal[..., None] * jnp.eye(p, dtype=dtype).reshape((1,) * len(whole) + (p, p))
-    root = jnp.broadcast_to(jnp.linalg.cholesky(scale).T, (*whole, p, p))
-    columns = solve_triangular(bartlett, root, lower=True)
+    root = linalg.cholesky(scale).T
+    columns = jax.vmap(linalg.solve_triangular, (0, None))(bartlett.reshape(-1, p, p), root).reshape(bartlett.shape)
     return jnp.einsum("...ki,...kj->...ij", columns, columns, precision=jax.lax.Precision.HIGHEST)
 
 

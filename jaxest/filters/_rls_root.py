@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
+from jaxest import linalg
 from jaxest.types import Array, ArrayLike
 
 
@@ -38,8 +39,8 @@ def square_root_step(state: Triangle, regressor: Array, target: Array, forgettin
             jnp.concatenate([regressor, target[:, None]], axis=1),
         ]
     )
-    top = jnp.linalg.qr(stacked, mode="r")[:n]
-    return Triangle(jnp.triu(top[:, :n]), top[:, n])
+    top = linalg.upper(stacked)[:n]
+    return Triangle(top[:, :n], top[:, n])
 
 
 __all__ = ["Triangle", "square_root_step"]

@@ -9,6 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest import linalg
 from jaxest.filters._small import eye, trace, transposed
 from jaxest.manifolds.base import as_array
 from jaxest.types import Array, ArrayLike
@@ -67,7 +68,7 @@ def general(covariance_a: Array, covariance_b: Array, second_moment: Array | Non
 
     Source: Sato 2024, eqs. 33 and 34.
     """
-    return jnp.linalg.inv(noise_matrix(covariance_a, covariance_b, second_moment))
+    return linalg.inverse(noise_matrix(covariance_a, covariance_b, second_moment))
 
 
 def noise_matrix(covariance_a: Array, covariance_b: Array, second_moment: Array | None = None) -> Array:

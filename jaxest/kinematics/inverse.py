@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest import linalg
 from jaxest.kinematics.forward import configuration, forward
 from jaxest.kinematics.jacobian import jacobian
 from jaxest.kinematics.movement import coupled, moved, movers, room, scalars, scattered, spot, spread
@@ -286,6 +287,6 @@ def _least_squares(problem: _Problem, state: _State) -> Array:
     held = ((low >= 0) & (pull < 0)) | ((high <= 0) & (pull > 0))
     slope = jnp.where(held[None, :], 0, state.slope)
     damping = centring + state.damping * cost + 100 * jnp.finfo(slope.dtype).eps
-    factor = jnp.linalg.cholesky(slope.T @ slope + jnp.diag(damping))
-    move = jax.scipy.linalg.cho_solve((factor, True), jnp.where(held, 0, pull))
+    factor = linalg.cholesky(slope.T @ slope + jnp.diag(damping))
+    move = linalg.cho_solve(factor, jnp.where(held, 0, pull))
     return spread(problem.robot, problem.movers, state.q) @ jnp.clip(move, low, high)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest import linalg
 from jaxest.kinematics.coordinates import Links
 from jaxest.kinematics.fold import carriers, fold
 from jaxest.kinematics.forward import configuration, links, place_frames, selection
@@ -237,8 +238,8 @@ def _sum(a: Array, weight: Array, b: Array) -> Array:
 def _solve(hessian: Array, right: Array) -> Array:
     """Solve, scaled to a unit diagonal so that well and badly known coordinates keep their digits in float32."""
     scale = 1 / jnp.sqrt(jnp.diagonal(hessian))
-    factor = jnp.linalg.cholesky(hessian * scale[:, None] * scale[None, :])
-    return scale[:, None] * jax.scipy.linalg.cho_solve((factor, True), scale[:, None] * right)
+    factor = linalg.cholesky(hessian * scale[:, None] * scale[None, :])
+    return scale[:, None] * linalg.cho_solve(factor, scale[:, None] * right)
 
 
 __all__ = ["UNKNOWN", "Fit", "Observed", "errors", "fit_orientations", "rotations"]

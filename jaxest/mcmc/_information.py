@@ -3,8 +3,8 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import solve_triangular
 
+from jaxest import linalg
 from jaxest.filters.kalman.gaussian import product
 from jaxest.mcmc.model import Data, Linear, Model, Prior
 from jaxest.types import Array
@@ -35,8 +35,8 @@ def eliminate(a: Array, precision: Array, log_det: Array) -> tuple[tuple[Array, 
     The noise has a precision (n, n), of whose determinant `log_det` is the logarithm.
     """
     n = len(precision)
-    root = jax.lax.linalg.cholesky(a[:n, :n] + precision, symmetrize_input=False)
-    inverse = solve_triangular(root, jnp.eye(n, dtype=a.dtype), lower=True)
+    root = linalg.cholesky(a[:n, :n] + precision)
+    inverse = linalg.solve_triangular(root, jnp.eye(n, dtype=a.dtype))
     link = product(inverse, a[:n])
     log = log_det / 2 - jnp.sum(jnp.log(jnp.diagonal(root)))
     return (root, inverse, link), a - product(link.T, link), log

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import solve_triangular
 from jax.sharding import Mesh
 
+from jaxest import linalg
 from jaxest.filters.run import full, run
 from jaxest.mcmc.kernel import collapsed, draw_theta, log_density
 from jaxest.mcmc.laplace import climb
@@ -197,7 +197,7 @@ def _tuning(model: Model, prior: Prior, data: Data, linear: Linear, centre: Arra
     twist = backward(model, prior, data, linear, centre**-3)
     factor = collapse(prior, linear, twist).root
     eye = jnp.eye(factor.shape[0], dtype=centre.dtype)
-    theta_root = solve_triangular(factor, eye, lower=True, trans=1) if len(factor) else factor
+    theta_root = linalg.solve_triangular(factor, eye, transposed=True) if len(factor) else factor
     return Tuning(linear, centre, root, jnp.full((), _STRIDE, centre.dtype), theta_root)
 
 
@@ -294,7 +294,7 @@ def _fitted(prior: Prior, drawn: Unknown, discard: int) -> tuple[Unknown, Array]
     weight = draws / 10  # of the Gibbs sampler's draws, so many count as independent
     covariance = away.T @ away / draws
     covariance = (weight * covariance + _SHRINK * jnp.diag(jnp.diagonal(covariance))) / (weight + _SHRINK)
-    return Unknown(theta, centre**-3), jnp.linalg.cholesky(covariance)
+    return Unknown(theta, centre**-3), linalg.cholesky(covariance)
 
 
 __all__ = ["Chains", "advance", "dispersed", "init", "prepare", "settle", "step", "untuned", "warm_up"]

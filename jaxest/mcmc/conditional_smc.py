@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxest import linalg
 from jaxest.filters.kalman.gaussian import product
 from jaxest.filters.resampling import effective_sample_size, multinomial, normalize
 from jaxest.mcmc.model import Data, Linear, Model, Unknown, linear_steps, log_weight, next_states, normals
@@ -172,7 +173,7 @@ def _propose(twist: Twist, row: int | None, ahead: Array, shift: Array, normal: 
     if link is None:
         return ahead + normal * jnp.diagonal(inverse)[None]
     white = normal - product(_z(ahead, shift), link.T)
-    return ahead + jax.scipy.linalg.solve_triangular(root, white.T, lower=True, trans=1).T
+    return ahead + linalg.solve_triangular(root, white.T, transposed=True).T
 
 
 def _trace(last: Array, before: Array, parents: Array, index: Array) -> Array:

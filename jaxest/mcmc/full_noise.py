@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest import linalg
 from jaxest.distributions import inverse_wishart
 from jaxest.mcmc import conditional_smc
 from jaxest.mcmc.kernel import draw_theta
@@ -53,14 +54,15 @@ def backward(model: Model, prior: Prior, data: Data, linear: Linear, noise: Cova
     steps, n = linear.path.shape
     at = np.asarray(model.observed)
     there = jnp.all(data.valid, axis=1)
-    inverse, process = jnp.linalg.inv(noise.sensor), jnp.linalg.inv(noise.process)
+    inverse, sensor_log_det = linalg.solve_and_log_det(noise.sensor, jnp.eye(len(at), dtype=noise.sensor.dtype))
+    process, process_log_det = linalg.solve_and_log_det(noise.process, jnp.eye(n, dtype=noise.process.dtype))
     rows = jnp.zeros((steps, len(at), n + 1 + model.linear), linear.path.dtype)
     rows = rows.at[:, np.arange(len(at)), at].set(1).at[:, :, n].set(linear.path[:, at] - data.value)
     measured = jnp.einsum("tma,ml,tlb->tab", rows, inverse, rows) * there[:, None, None]
-    size = len(at) * jnp.log(2 * jnp.pi) + jnp.linalg.slogdet(noise.sensor)[1]
+    size = len(at) * jnp.log(2 * jnp.pi) + sensor_log_det
     first = jnp.diag(1 / prior.variance)[None]
     precision = jnp.concatenate([first, jnp.broadcast_to(process, (steps - 1, n, n))])
-    log_det = jnp.full(steps, jnp.linalg.slogdet(process)[1]).at[0].set(-jnp.sum(jnp.log(prior.variance)))
+    log_det = jnp.full(steps, -process_log_det).at[0].set(-jnp.sum(jnp.log(prior.variance)))
     return sweep(linear, measured, jnp.where(there, -size / 2, 0), precision, log_det)
 
 
@@ -89,7 +91,7 @@ def gibbs(model: Model, blocks: Blocks, *, count: int = 16) -> Kernel:
             model, params.model, data, params.tuning.linear, twist, state.unknown, key=keys[1], count=count,
             path=state.path,
         )  # fmt: skip
-        weight = jnp.linalg.inv(noise.process)
+        weight = linalg.inverse(noise.process)
         theta = theta_given_path(model, params, data, found.path, state.unknown.theta, weight, key=keys[2])
         unknown = _draw(keys[3], model, params, data, found.path, theta, blocks)
         state, info = finish(state, found.path, unknown, yes, found.ess, found.log_evidence, model)

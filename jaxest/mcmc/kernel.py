@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import solve_triangular
 
+from jaxest import linalg
 from jaxest.distributions import inverse_gamma
 from jaxest.mcmc.model import (
     Data,
@@ -65,7 +65,7 @@ def log_density(model: Model, params: Params, data: Data, z: Array) -> Array:
 
 
 def _log_reference(tuning: Tuning, z: Array) -> Array:
-    white = solve_triangular(tuning.root, z - tuning.centre, lower=True)
+    white = linalg.solve_triangular(tuning.root, z - tuning.centre)
     return -jnp.sum(white * white) / 2
 
 
@@ -74,7 +74,7 @@ def draw_theta(key: Array, collapsed: Collapsed) -> Array:
     if not len(collapsed.mean):
         return collapsed.mean
     normal = normals(key, *collapsed.mean.shape)
-    return collapsed.mean + solve_triangular(collapsed.root, normal, lower=True, trans=1)
+    return collapsed.mean + linalg.solve_triangular(collapsed.root, normal, transposed=True)
 
 
 def propose(

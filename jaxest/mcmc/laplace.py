@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxest import linalg
 from jaxest.filters.kalman.gaussian import product
 from jaxest.types import Array
 
@@ -43,11 +44,11 @@ def fit(log_density: Callable[[Array], Array], start: Array, scale: Array) -> No
     bend = (slopes[d + 1 :] - slopes[1 : d + 1]) / (2 * _STEP)
     information = scale[None] * (bend + (bend * scale[None] / scale[:, None]).T) / 2  # in units of the scales
     # Where it bends upwards, the size of the bend still tells how far to go (Dauphin et al. 2014).
-    value, vector = jnp.linalg.eigh(information)
+    value, vector = linalg.eigh(information)
     size = jnp.maximum(jnp.abs(value), 1e-6 * jnp.max(jnp.abs(value)))
     covariance = product(vector / size[None], vector.T)
     moved = scale * product(covariance, scale * slopes[0])
-    root = scale[:, None] * jnp.linalg.cholesky((covariance + covariance.T) / 2)
+    root = scale[:, None] * linalg.cholesky(covariance)
     good = jnp.all(value > 0) & jnp.all(jnp.isfinite(root)) & jnp.all(jnp.isfinite(moved))
     return Normal(start + moved, root, good)
 

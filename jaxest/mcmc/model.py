@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxest import linalg
 from jaxest.distributions._words import words
 from jaxest.types import Array, PyTree
 
@@ -172,7 +173,7 @@ def log_weight(model: Model, data: Data, linear: Linear, unknown: Unknown, path:
     ahead = path[1:] - linear_steps(linear, unknown.theta, path)
     noise: Array | Covariances = unknown.variances
     if isinstance(noise, Covariances):
-        return jnp.sum((ahead - error / 2) * jnp.linalg.solve(noise.process, error.T).T)
+        return jnp.sum((ahead - error / 2) * linalg.solve(noise.process, error.T).T)
     return jnp.sum((ahead - error / 2) * error / noise[None, : model.size])
 
 

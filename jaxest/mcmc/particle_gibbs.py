@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxest import linalg
 from jaxest.distributions import gaussian, truncated_normal
 from jaxest.mcmc import conditional_smc
 from jaxest.mcmc.kernel import Info, Kernel, Params, State, draw_variances, finish, move_together
@@ -97,7 +98,7 @@ def _theta(key: Array, prior: Prior, theta: Array, slope: Array, left: Array, we
 
 def _within(key: Array, prior: Prior, theta: Array, precision: Array, right: Array) -> Array:
     """One sweep through the components of a normal theta within the box; `right` is the slope at the current theta."""
-    mean = theta + jnp.linalg.solve(precision, right)
+    mean = theta + linalg.solve(precision, right)
 
     def component(theta: Array, now: tuple[Array, Array]) -> tuple[Array, None]:
         i, key = now

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import solve_triangular
 
+from jaxest import linalg
 from jaxest.filters.kalman.gaussian import product
 from jaxest.mcmc._information import carried, eliminate, noises, precisions
 from jaxest.mcmc._information import measured as measured_by
@@ -153,9 +153,9 @@ def collapse(prior: Prior, linear: Linear, twist: Twist) -> Collapsed:
         return Collapsed(linear.centre, jnp.zeros((0, 0)), twist.evidence_log - twist.evidence[0, 0] / 2)
     wide = jnp.where(jnp.isfinite(prior.high - prior.low), prior.high - prior.low, 1e6)
     information = twist.evidence[1:, 1:] + jnp.diag(1e-6 / wide**2)
-    root = jnp.linalg.cholesky(information)
-    white = solve_triangular(root, -twist.evidence[1:, 0], lower=True)
-    mean = solve_triangular(root, white, lower=True, trans=1)
+    root = linalg.cholesky(information)
+    white = linalg.solve_triangular(root, -twist.evidence[1:, 0])
+    mean = linalg.solve_triangular(root, white, transposed=True)
     log = twist.evidence_log - twist.evidence[0, 0] / 2 + jnp.sum(white * white) / 2
     log = log - jnp.sum(jnp.log(jnp.diagonal(root))) + len(white) * jnp.log(2 * jnp.pi) / 2
     return Collapsed(linear.centre + mean, root, log)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxest.filters._small import outer
+from jaxest.filters._small import eigen4, largest, outer
 from jaxest.manifolds import quaternion as quat
 from jaxest.manifolds._algebra import skew
 from jaxest.systems import _onsite_window as win
@@ -32,15 +32,22 @@ def start(windows: win.Window, ready: Array) -> tuple[Unknowns, Array]:
     a, p = (jnp.where(ready[:, None] > 0, side.rate, 0) for side in (windows.a, windows.p))
     a0, p0 = jnp.sum(a, axis=0) / count, jnp.sum(p, axis=0) / count
     left, right = ((x - m[None]) * ready[:, None] for x, m in ((a, a0), (p, p0)))
-    u, _, vt = jnp.linalg.svd(left.T @ right)
-    sign = jnp.sign(jnp.linalg.det(u) * jnp.linalg.det(vt))
-    rotation = (u * jnp.stack([jnp.ones_like(sign), jnp.ones_like(sign), sign])[None, :]) @ vt
-    q = quat.from_matrix(rotation)
-    difference = a0 - rotation @ p0
+    q = largest(*eigen4(_davenport(left.T @ right)))
+    difference = a0 - quat.to_matrix(q) @ p0
     zero = jnp.zeros(3, a.dtype)
     state = Unknowns(zero, q, difference / 2, difference, zero)
     spread, _ = noise(windows, ready, state, jnp.zeros((3, 3), a.dtype))
     return state, spread
+
+
+def _davenport(m: Array) -> Array:
+    """Return the (4, 4) whose first eigenvector turns vectors p towards a, for m = sum a p' (3, 3).
+
+    Source: Davenport 1968 (A vector approach to the algebra of rotations).
+    """
+    across = jnp.stack([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    around = m + m.T - jnp.trace(m) * jnp.eye(3, dtype=m.dtype)
+    return jnp.block([[jnp.trace(m)[None, None], across[None]], [across[:, None], around]])
 
 
 def noise(windows: win.Window, ready: Array, state: Unknowns, spread: Array) -> tuple[Array, Array]:

@@ -1,10 +1,11 @@
 """The linear algebra of `posture`: joints and headings from the IMUs' orientations."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from jaxest import linalg
 from jaxest.types import Array
 
 
@@ -54,7 +55,7 @@ def fuse(design: Array, noise: Array, error: Array, prior: Prior, share: Array, 
     Returns:
         The solution; the joints' covariance is that of the doubt.
     """
-    weight = jax.vmap(jnp.linalg.inv)(noise)
+    weight = jax.vmap(linalg.inverse)(noise)
     news, asked = _told(design, weight, error, prior.gone, prior.joint)
     after, turn = _headings(prior.heading, news, asked, share)
     left = error - jnp.zeros_like(error).at[:, 2].set(turn)
@@ -72,7 +73,7 @@ def fuse(design: Array, noise: Array, error: Array, prior: Prior, share: Array, 
 def joints(design: Array, noise: Array, error: Array, prior: Prior) -> Fused:
     """Solve for joints alone, where the orientations' headings are those of the earth: `fuse` with headings known."""
     n, _, k = design.shape
-    weight = jax.vmap(jnp.linalg.inv)(noise)
+    weight = jax.vmap(linalg.inverse)(noise)
     eye = jnp.eye(k, dtype=design.dtype)
     pull = _sum(design, weight, error[:, :, None])[:, 0] - prior.gone / prior.joint
     information = _sum(design, weight, design) + eye / prior.joint
@@ -91,7 +92,7 @@ def _headings(before: Array, news: Array, asked: Array, share: Array) -> tuple[A
     n = asked.shape[0]
     eye = jnp.eye(n, dtype=before.dtype)
     right = jnp.concatenate([before, share * (before @ asked)[:, None]], axis=1)
-    solved = jnp.linalg.solve(eye + share * before @ news, right)
+    solved = linalg.solve(eye + share * before @ news, right)
     gain, turn = share * solved[:, :n], solved[:, n]
     keep = eye - gain @ news
     after = keep @ before @ keep.T + gain @ news @ gain.T / jnp.where(share > 0, share, 1)
@@ -136,6 +137,5 @@ def _sum(a: Array, weight: Array, b: Array) -> Array:
 def _solve(a: Array, b: Array) -> Array:
     """Solve a symmetric positive system, scaled to a unit diagonal for the digits of float32."""
     scale = 1 / jnp.sqrt(jnp.diagonal(a))
-    factor = jnp.linalg.cholesky(a * scale[:, None] * scale[None, :])
-    found: Any = scale[:, None] * jax.scipy.linalg.cho_solve((factor, True), scale[:, None] * b)
-    return found
+    factor = linalg.cholesky(a * scale[:, None] * scale[None, :])
+    return scale[:, None] * linalg.cho_solve(factor, scale[:, None] * b)

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from jaxest import linalg
 from jaxest.filters.kalman.gaussian import product, symmetric
 from jaxest.manifolds import so3
 from jaxest.mapping import Layout, VoxelMap, carried, fit, nearest
@@ -207,7 +208,7 @@ def sums(rows: Rows, points: Points, spare: Array, turned: Turned | None = None)
             gram, table, rows.mount, rows.weight, rows.far, points.sensor, turned.covariance, turned.scans
         )
     pose = gram[own, own]
-    shared = jnp.linalg.solve(jnp.eye(6, dtype=gram.dtype) + product(spare, pose), spare)
+    shared = linalg.solve(jnp.eye(6, dtype=gram.dtype) + product(spare, pose), spare)
     cross = gram[state, own]
     held = product(cross, shared)
     information = symmetric(gram[state, state] - product(held, cross.T))

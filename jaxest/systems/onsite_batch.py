@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest import linalg
 from jaxest.manifolds import quaternion as quat
 from jaxest.systems import _onsite_sums as sums
 from jaxest.systems import _onsite_window as win
@@ -145,7 +146,7 @@ def _solve(measurements: Pair, prior: Prior | None, half_width: Array, *, reach:
     def body(turn: Array, carry: Any) -> Any:
         state, spread, weights = carry[:3]
         h, g, scores = sums.normal(windows, ready, state, spread, weights, gyro, acc)
-        moved = sums.moved(state, jnp.where(turn < ITERATIONS, jnp.linalg.solve(h, -g), 0))
+        moved = sums.moved(state, jnp.where(turn < ITERATIONS, linalg.solve(h, -g), 0))
         spread, force = sums.noise(windows, ready, moved, spread)
         return moved, spread, (3 / jnp.trace(spread), 1 / force), h, scores
 
@@ -199,7 +200,7 @@ def _read(
     state: sums.Unknowns, h: Array, scores: Array, precision: Array, bent: Array, weights: Any, ready: Array,
     block: Array, degree: int,
 ) -> Estimate:  # fmt: skip
-    inverse = jnp.linalg.inv(h)
+    inverse = linalg.inverse(h)
     most = max(len(scores) // (4 * (degree + 1)), 1)  # a window has more samples than the degree
     # Blocks of windows in order of time; a rest that fills no block is left out.
     behind = jnp.arange(len(scores)) - (block // 4 - 1) // 2  # the first window is centred N in
@@ -213,7 +214,7 @@ def _read(
     scattered = inverse @ meat @ inverse.T
     pose = slice(0, 6)
     # Fifteen variances from some dozens of blocks are too uncertain to be used one by one; their mean ratio is not.
-    ratio = jnp.trace(jnp.linalg.solve(inverse[pose, pose], scattered[pose, pose])) / 6
+    ratio = jnp.trace(linalg.solve(inverse[pose, pose], scattered[pose, pose])) / 6
     bent = inverse @ bent
     covariance = inverse * jnp.maximum(ratio, 1) + bent @ bent.T
     order = jnp.asarray([3, 4, 5, 0, 1, 2])

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest import linalg
 from jaxest.filters._small import within_range
 from jaxest.filters.kalman.gaussian import product, symmetric
 from jaxest.filters.kalman.model import clean
@@ -244,7 +245,7 @@ def _info(
         s.inliers,
         s.matched,
         s.seen,
-        jnp.maximum(jnp.linalg.eigvalsh(s.pose)[:, 0], 0),
+        jnp.maximum(jax.vmap(linalg.eigh)(s.pose)[0][:, 0], 0),
         seen.odd / used,
         link,
         carry.chart.used,

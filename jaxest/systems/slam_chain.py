@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest import linalg
 from jaxest.filters.kalman import Gaussian, independent, information_gain, predict
 from jaxest.filters.kalman.gaussian import product
 from jaxest.filters.kalman.model import clean
@@ -208,7 +209,7 @@ def _step(
         links.covariance,
         inliers,
         iterations,
-        jnp.linalg.eigvalsh(information)[:, 0],
+        jax.vmap(linalg.eigh)(information)[0][:, 0],
         chart.overflow,
         status,
     )

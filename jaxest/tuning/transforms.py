@@ -211,7 +211,7 @@ def covariance(value: Any) -> Bijection:
         return jnp.matmul(lower, lower.T, precision=jax.lax.Precision.HIGHEST)
 
     def unconstrain(x: Any) -> Array:
-        lower = jnp.linalg.cholesky(jnp.asarray(x))
+        lower = linalg.cholesky(jnp.asarray(x))
         return jnp.concatenate([jnp.log(jnp.diagonal(lower)), lower[below]])
 
     return Bijection(n * (n + 1) // 2, constrain, unconstrain)

@@ -20,6 +20,7 @@ they come; covariance and corrections follow every `interval`.
 import jax
 import jax.numpy as jnp
 
+from jaxest import linalg
 from jaxest.filters import kalman
 from jaxest.filters.attitude import rest as resting
 from jaxest.filters.attitude.ekf_state import Info, Memory, Params, State, closed, init, opened
@@ -141,8 +142,8 @@ def news(params: Params, memory: Memory, belief: kalman.Gaussian) -> tuple[list[
     still = 1 + 2 * params.move_time / time
     usual = jnp.concatenate([jnp.full(2, params.speed**2, dtype), jnp.full(2, params.excursion**2, dtype)])
     swing = jnp.concatenate([belief.mean.velocity, belief.mean.position])
-    root = jnp.linalg.cholesky(covariance[3:7, 3:7] + jnp.diag(usual))
-    scaled = jax.scipy.linalg.solve_triangular(root, swing, lower=True)
+    root = linalg.cholesky(covariance[3:7, 3:7] + jnp.diag(usual))
+    scaled = linalg.solve_triangular(root, swing)
     weight_acc = trust(params.tail, jnp.sum(scaled * scaled), 4)
 
     def motion(x: Track) -> Array:

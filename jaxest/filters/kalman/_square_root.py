@@ -1,15 +1,15 @@
 """Square roots of covariances, singular ones included: `L L'` is the covariance, L lower triangular.
 
-LAPACK's QR, batched: 1.2 us for a 6 x 12 matrix in float64, one CPU thread busy. A scan over columns, as `root` needs
-for singular matrices, takes 3 to 8 times as long as LAPACK's Cholesky from 6 x 6 on; it runs once a step.
+A scan over columns, as `root` needs for singular matrices, takes 3 to 8 times as long as `linalg.cholesky` from 6 x 6
+on; it runs once a step.
 """
 
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import solve_triangular
 
+from jaxest import linalg
 from jaxest.filters.kalman.gaussian import product
 from jaxest.types import Array
 
@@ -38,10 +38,9 @@ def triangular(wide: Array) -> Array:
     Every row is joined by an entry eps below its own length, so that no pivot vanishes; the covariance changes by
     eps^2 of itself, below rounding.
     """
-    n = wide.shape[0]
     limits = jnp.finfo(wide.dtype)
     least = 1e-3 * limits.eps * jnp.sqrt(jnp.sum(wide * wide, axis=1)) + jnp.sqrt(limits.tiny)
-    return jnp.linalg.qr(jnp.concatenate([wide, jnp.diag(least)], axis=1).T, mode="r").T[:n, :n]
+    return linalg.upper(jnp.concatenate([wide, jnp.diag(least)], axis=1).T).T
 
 
 def _turn(lower: Array, moved: Array) -> Array:
@@ -50,8 +49,8 @@ def _turn(lower: Array, moved: Array) -> Array:
     pivot = jnp.abs(jnp.diagonal(lower))
     there = pivot > 10 * n * jnp.finfo(lower.dtype).eps * jnp.sqrt(jnp.sum(lower * lower, axis=1))
     regular = lower + jnp.diag(jnp.where(there, 0, 1 - jnp.diagonal(lower)))
-    left = solve_triangular(regular, moved, lower=True)
-    both = solve_triangular(regular, left.T, lower=True)
+    left = linalg.solve_triangular(regular, moved)
+    both = linalg.solve_triangular(regular, left.T)
     half = jnp.tril(both) - jnp.diag(jnp.diagonal(both)) / 2
     return jnp.where(there[None, :], product(regular, half), 0)
 
@@ -71,7 +70,7 @@ def _(primals: Any, tangents: Any) -> tuple[Array, Array]:
 
 def solve(lower: Array, b: Array, *, transposed: bool = False) -> Array:
     """Return `L^-1 b`, or `L'^-1 b`, for b (n,) or (n, k)."""
-    return solve_triangular(lower, b, trans=int(transposed), lower=True)
+    return linalg.solve_triangular(lower, b, transposed=transposed)
 
 
 __all__ = ["root", "solve", "triangular"]

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import solve_triangular
 
+from jaxest import linalg
 from jaxest.filters.kalman.gaussian import product, sandwich
 from jaxest.manifolds.base import Manifold, as_array
 from jaxest.types import Array, ArrayLike, PyTree
@@ -143,8 +143,8 @@ def whiten(factor: Factor, residual: Array, slope: Array, keep: Array) -> Rows:
         rows = rows / jnp.sqrt(noise)
         log_det = jnp.log(noise[:, 0, 0])
     else:
-        root = jnp.linalg.cholesky(noise, symmetrize_input=False)
-        rows = solve_triangular(root, rows, lower=True)
+        root = jax.vmap(linalg.cholesky)(noise)
+        rows = jax.vmap(linalg.solve_triangular)(root, rows)
         log_det = 2 * jnp.sum(jnp.log(jnp.diagonal(root, axis1=1, axis2=2)), axis=1)
     count = jnp.sum(kept, axis=1).astype(residual.dtype)
     if factor.loss is not None:
@@ -165,8 +165,8 @@ def inside_gate(factor: Factor, residual: Array, slope: Array, keep: Array, cova
     design, value = rows.design.reshape(-1, d, rows.design.shape[1]), rows.residual.reshape(-1, d)
 
     def distance(h: Array, z: Array) -> Array:
-        root = jnp.linalg.cholesky(jnp.eye(d, dtype=z.dtype) + sandwich(h, covariance))
-        return jnp.sum(solve_triangular(root, z, lower=True) ** 2)
+        root = linalg.cholesky(jnp.eye(d, dtype=z.dtype) + sandwich(h, covariance))
+        return jnp.sum(linalg.solve_triangular(root, z) ** 2)
 
     inside = jax.vmap(distance)(design, value) <= jnp.asarray(factor.gate, value.dtype)
     return keep & jnp.repeat(inside, d)

@@ -11,8 +11,8 @@ from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import lu_factor, lu_solve, solve_triangular
 
+from jaxest import linalg
 from jaxest.filters.kalman.gaussian import product, sandwich, symmetric
 from jaxest.types import Array
 
@@ -53,9 +53,9 @@ def measurement_gain(covariance: Array, design: Array, innovation: Array) -> Gai
     """
     m, n = design.shape
     across = product(design, covariance)
-    root = jnp.linalg.cholesky(jnp.eye(m, dtype=design.dtype) + symmetric(product(across, design.T)))
-    half = solve_triangular(root, jnp.concatenate([innovation[:, None], across], axis=1), lower=True)
-    whole = solve_triangular(root, half, trans=1, lower=True)
+    root = linalg.cholesky(jnp.eye(m, dtype=design.dtype) + symmetric(product(across, design.T)))
+    half = linalg.solve_triangular(root, jnp.concatenate([innovation[:, None], across], axis=1))
+    whole = linalg.solve_triangular(root, half, transposed=True)
     gain = whole[:, 1:].T
     after = sandwich(jnp.eye(n, dtype=gain.dtype) - product(gain, design), covariance) + product(gain, gain.T)
     return Gained(
@@ -68,7 +68,7 @@ def measurement_gain(covariance: Array, design: Array, innovation: Array) -> Gai
 
 
 def state_gain(covariance: Array, design: Array, innovation: Array) -> Gained:
-    """Update with one LU factor of the size of the state, for many rows.
+    """Update with one solution of the size of the state, for many rows.
 
     Iwao 2025's eq. 24 (with its two transposes) needs the inverse of the covariance; `(I + P H'H)^-1` is the same
     and lets it be singular.
@@ -109,8 +109,9 @@ def information_gain(covariance: Array, information: Array, pull: Array) -> Gain
     scale = jax.lax.stop_gradient(jnp.sqrt(jnp.where(jnp.diagonal(covariance) > 0, jnp.diagonal(covariance), 1)))
     square = scale[:, None] * scale[None, :]
     scaled = covariance / square
-    factor = lu_factor(jnp.eye(n, dtype=pull.dtype) + product(scaled, information * square))
-    shrink = scale[:, None] * lu_solve(factor, jnp.diag(1 / scale))  # I - K H
+    whole = jnp.eye(n, dtype=pull.dtype) + product(scaled, information * square)
+    solved, log_det = linalg.solve_and_log_det(whole, jnp.diag(1 / scale))
+    shrink = scale[:, None] * solved  # I - K H
     moved = product(shrink, covariance)
     correction = product(moved, pull)
     dual = pull - product(information, correction)
@@ -119,7 +120,7 @@ def information_gain(covariance: Array, information: Array, pull: Array) -> Gain
         dual,
         symmetric(sandwich(shrink, covariance) + sandwich(moved, information)),
         -jnp.sum(pull * correction),
-        jnp.sum(jnp.log(jnp.abs(jnp.diagonal(factor[0])))),
+        log_det,
     )
 
 

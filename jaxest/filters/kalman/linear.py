@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxest import linalg
 from jaxest.filters.kalman._square_root import solve, triangular
 from jaxest.filters.kalman.gaussian import product
 from jaxest.types import Array
@@ -58,7 +59,7 @@ def whitened(design: Array, value: Array, noise: Array, valid: Array) -> tuple[A
         (m, n), (m,) and ().
     """
     noise = jnp.where(valid[:, None] & valid[None, :], noise, jnp.eye(len(valid), dtype=noise.dtype))
-    lower = jnp.linalg.cholesky(noise)
+    lower = linalg.cholesky(noise)
     rows = solve(lower, jnp.where(valid[:, None], jnp.concatenate([value[:, None], design], axis=1), 0))
     count = jnp.sum(valid).astype(noise.dtype)
     constant = -jnp.sum(jnp.log(jnp.diagonal(lower))) - count * jnp.log(2 * jnp.pi).astype(noise.dtype) / 2

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol
 import jax
 import jax.numpy as jnp
 
+from jaxest import linalg
 from jaxest.filters.kalman._square_root import root
 from jaxest.filters.kalman.factors import evaluate, joined, whiten
 from jaxest.filters.kalman.gaussian import product
@@ -135,7 +136,7 @@ def _linearize(
         return error, error
 
     slope, error = jax.jacfwd(prior, has_aux=True)(zero)
-    back = jnp.linalg.inv(slope)
+    back = linalg.inverse(slope)
     start = Root(-product(back, error), product(back, root(state0.covariance)))
 
     def step(before: PyTree, after: PyTree, measurement: PyTree, keep: Array) -> Series:
@@ -145,7 +146,7 @@ def _linearize(
             return error, error
 
         slope, error = jax.jacfwd(jump, has_aux=True)(jnp.stack([zero, zero]))
-        back = jnp.linalg.inv(slope[:, 1])
+        back = linalg.inverse(slope[:, 1])
         noise = jnp.asarray(model.process_noise(params, before, measurement), zero.dtype)
         every = factors(model, params, measurement)
         values, slopes = evaluate(manifold, every, after, zero)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxest import linalg
 from jaxest.filters.kalman.factors import (
     Factor,
     Rows,
@@ -97,7 +98,7 @@ def update(
     gained, rows = linearized(start)
     mean = manifold.retract(belief.mean, gained.correction)
     turn = reanchor(manifold, belief.mean, gained.correction, mean)
-    design = jnp.linalg.solve(turn.T, rows.design.T).T
+    design = linalg.solve(turn.T, rows.design.T).T
     used = jnp.concatenate(keeps)
     info = UpdateInfo(
         log_likelihood=rows.constant - (gained.nis + gained.log_det) / 2,
@@ -151,7 +152,7 @@ def _iterate(
         return v, (count.astype(zero.dtype), settled.astype(zero.dtype))
 
     def tangent(g: Callable[[Array], Array], y: Array) -> Array:
-        return jnp.linalg.solve(jax.jacfwd(g)(y), y)
+        return linalg.solve(jax.jacfwd(g)(y), y)
 
     root, (count, settled) = jax.lax.custom_root(move, zero, solve, tangent, has_aux=True)
     return root, count.astype(jnp.int32), settled > 0

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest import linalg
 from jaxest.filters.particle import _cholesky
 from jaxest.filters.particle._flat import carried
 from jaxest.filters.particle.proposal import Rows
@@ -102,7 +103,7 @@ def split(equations: Array) -> tuple[Array, Array]:
     A shift s along one turns axes by s, which moves others by about s^2 / 2: too far where that is no less than half
     the deviation of the best known one.
     """
-    information, basis = jnp.linalg.eigh(jnp.mean(equations[:, :-1], axis=-1))
+    information, basis = linalg.eigh(jnp.mean(equations[:, :-1], axis=-1))
     return basis[:, ::-1], (information < jnp.sqrt(information[-1]))[::-1]
 
 

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest import linalg
 from jaxest.filters.particle import _cholesky
 from jaxest.filters.particle import _draws as draws
 from jaxest.filters.particle import _gauss_newton as gauss_newton
@@ -224,7 +225,7 @@ def _prior(ours: Guided, params: PyTree, particles: PyTree, seen: PyTree, begins
             raise ValueError(f"precision: has shape {precision.shape}, expected ({size},) or ({size}, {size})")
         diagonal = precision.ndim == 1
         full = jnp.diag(precision) if diagonal else precision
-        covariance = jnp.diag(1 / precision) if diagonal else jnp.linalg.inv(precision)
+        covariance = jnp.diag(1 / precision) if diagonal else linalg.inverse(precision)
         return each(transition.mean)(params, particles, seen), Prior(none, full, covariance, none, none[0])
 
     def anew(opening: Opening) -> tuple[PyTree, Prior]:
