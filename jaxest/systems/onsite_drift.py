@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest import linalg
 from jaxest.manifolds import quaternion as quat
 from jaxest.manifolds._algebra import skew
 from jaxest.systems import _onsite_window as win
@@ -235,7 +236,7 @@ def simulate(params: Params, *, key: Array, rows: Row, width: int = 15) -> tuple
         x, state = carry
         row, key = now
         grown = jnp.where(row.seen.valid, drift(params, state.covariance, width), 0)
-        root = jnp.linalg.cholesky(grown + 1e-12 * jnp.eye(SIZE))
+        root = linalg.cholesky(grown + 1e-12 * jnp.eye(SIZE))
         normal = jax.random.normal(key, (SIZE + 6,), x.dtype)
         x = x + jnp.where(row.seen.valid & (state.index > 0), _of(root, normal[:SIZE, None])[:, 0], 0)
         noise = jnp.sqrt(row.gain * variances(params, x.dtype))

@@ -37,8 +37,8 @@ SAMPLERS: Mapping[str, Callable[..., Kernel]] = {
 }
 """`gibbs_bootstrap` and `mh_bootstrap` are the paper's."""
 SPREAD = ("gibbs", "mh", "collapsed")
-"""Samplers whose chains may be spread over devices. Those that resample call batched LAPACK, which waits for
-ever on two devices of one processor with two cores (`docs/performance.md`), and run as one program."""
+"""Samplers whose chains may be spread over devices. Those that resample run as one program: on two devices of one
+processor they waited for each other in batched LAPACK, and have not been tried again since that is gone."""
 
 
 def sampler(name: str, model: Model, count: int | None = None) -> Kernel:

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest import linalg
 from jaxest.manifolds import quaternion, so3
 from jaxest.types import Array, unknown_name
 
