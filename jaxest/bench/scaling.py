@@ -14,7 +14,7 @@ from jaxest.io.report import Row
 from jaxest.types import unknown_name
 
 METRIC, EXPONENT, FIRST = "time against ", "exponent of ", "first call, "
-SECONDS = 15.0
+SECONDS = 8.0
 """After which a curve is not continued."""
 
 

@@ -1,7 +1,7 @@
 """What `jaxest bench scaling` measures: programs whose size can be chosen, each with its arguments."""
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -173,12 +173,18 @@ def _links(size: int) -> Program:
     return Program(slam.live(step, params, state, measurement), ())
 
 
-def _chains(size: int) -> Program:
+@cache
+def _series() -> Any:
     from jaxest.bench import torque
+
+    return torque.problem(small=True)
+
+
+def _chains(size: int) -> Program:
     from jaxest.systems import torque_posterior, torque_sampler
 
     with jax.enable_x64(True):
-        case = torque.problem(small=True)
+        case = _series()
         starts = torque_sampler.start(case.model, case.params, case.scene.data, key=jax.random.key(1), count=size)
         go = torque_posterior.advance(torque_sampler.sampler("gibbs", case.model), case.params, case.scene.data)
 
