@@ -85,6 +85,15 @@ print(len(heard))
 """
 
 
+SLURM = """
+import jax, numpy as np
+from jaxest import parallel
+place = parallel.start()
+doubled = parallel.gather(parallel.shards(lambda x: 2 * x)(np.arange(5.0)))
+print(*place, jax.device_count(), doubled.tolist())
+"""
+
+
 def start(tmp_path, name, rank=0, count=1, port=0, devices=1, program=PROGRAM, more=()):
     # The compiler's effort would be most of the time, and all compare with the same.
     flags = f"--xla_force_host_platform_device_count={devices} --xla_backend_optimization_level=0"
@@ -122,6 +131,20 @@ def test_devices_and_processes_give_the_same_bits(tmp_path):
         found = np.load(tmp_path / f"{name}.npz")
         for part in expected.files:
             np.testing.assert_array_equal(found[part], expected[part], err_msg=f"{name}, {part}")
+
+
+@pytest.mark.slow  # two processes for an edge of JAX's own
+def test_processes_find_each_other_by_the_variables_that_slurm_sets():
+    """On one host; no cluster is at hand."""
+    job = {"SLURM_JOB_ID": str(os.getpid()), "SLURM_STEP_NODELIST": "localhost", "SLURM_NTASKS": "2"}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    words = [sys.executable, "-c", SLURM]
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu", **job}
+    processes = [
+        subprocess.Popen(words, env={**environment, "SLURM_PROCID": rank, "SLURM_LOCALID": rank}, **pipes)
+        for rank in "01"
+    ]
+    assert [finish(process) for process in processes] == [f"{rank} 2 2 [0.0, 2.0, 4.0, 6.0, 8.0]" for rank in "01"]
 
 
 def test_a_lost_process_is_named_and_the_study_goes_on(tmp_path):
