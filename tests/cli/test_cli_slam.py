@@ -91,6 +91,21 @@ def test_what_cannot_be_is_named(log, tmp_path, settings, message):
         slam.estimate(log, Request(settings))
 
 
+def test_an_encoder_that_misses_a_row_goes_on(log):
+    """A row of the joints that is no number is refused unless told to be missing; those that follow are read."""
+    from jaxest import kinematics
+
+    value = np.array(log.streams["joints"].value)
+    value[5, 0] = np.nan
+    spoiled = SensorLog(log.streams | {"joints": log.streams["joints"]._replace(value=value)})
+    robot = kinematics.load(rooms.structure(2))
+    with pytest.raises(InputError, match=r"stream of joints: row 5 .* is not finite"):
+        slam._measurements(spoiled, {}, robot, 192, "error")
+    _, given, _ = slam._measurements(spoiled, {}, robot, 192, "missing")
+    assert given.joints.valid.all()
+    np.testing.assert_allclose(np.delete(given.joints.value, 5, 0), np.delete(value, 5, 0), atol=1e-6)
+
+
 def test_an_imus_samples_belong_to_the_scan_that_follows():
     """100 Hz beside scans at 10: ten samples each, none before the first scan, and a missing value is told."""
     scans, time = 0.1 * np.arange(1, 5), 0.01 * np.arange(1, 60)

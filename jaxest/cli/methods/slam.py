@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.cli import truth
 from jaxest.cli.methods import SIZE, Outcome, Request
 from jaxest.cli.methods.slam_imu import driven
 from jaxest.io import SensorLog, Stream, to_si
-from jaxest.io.log import stream, where
+from jaxest.io.log import refuse_nan, stream, where
 from jaxest.io.report import Row
 from jaxest.types import InputError, unknown_name
 
@@ -77,7 +78,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     else:
         system = slam_inertial.build(robot, placed, imu, **options)
         params = system.default_params._replace(inner=system.default_params.inner._replace(**told))
-    time, given, free = _measurements(log, settings, robot, rays(placed))
+    time, given, free = _measurements(log, settings, robot, rays(placed), request.nan)
     if imu is not None:
         given = driven(log, settings, given)
     params = jax.tree.map(np.float32, params)
@@ -157,8 +158,11 @@ def sensors(settings: Mapping[str, Any]) -> list[Any]:
     return found
 
 
-def _measurements(log: SensorLog, settings: Mapping[str, Any], robot: Any, zones: int) -> tuple[Any, Any, bool]:
+def _measurements(
+    log: SensorLog, settings: Mapping[str, Any], robot: Any, zones: int, nan: str
+) -> tuple[Any, Any, bool]:
     """Return times (T,), measurements and whether the root is free; one step a row of `ranges`."""
+    from jaxest.kinematics.robot import HINGE
     from jaxest.systems import slam
     from jaxest.types import Reading
 
@@ -178,8 +182,10 @@ def _measurements(log: SensorLog, settings: Mapping[str, Any], robot: Any, zones
     if angles.shape[1] != len(given):
         raise InputError(f"{spot}stream of joints has {angles.shape[1]} columns, expected {len(given)}: {given}")
     columns = [given.index(name) for name in wanted]
-    at = np.stack([np.interp(ranges.time, joints.time, np.unwrap(angles[:, c]), left=np.nan, right=np.nan)
-                   for c in columns], axis=1)  # fmt: skip
+    if nan == "error":
+        refuse_nan(joints, f"{spot}stream of joints", 'nan = "missing" in a config')
+    kinds = [robot.topology.joint_kind[robot.joint_names.index(name)] for name in wanted]
+    at = truth.joints(joints, dict(enumerate(columns)), [kind == HINGE for kind in kinds], ranges.time)
     there = np.isfinite(at)
     dt = np.concatenate([[0.0], np.diff(ranges.time)]).astype(np.float32)
     fields: dict[str, Any] = {

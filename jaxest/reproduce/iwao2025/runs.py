@@ -27,7 +27,6 @@ from jaxest.types import Reading, System
 
 BIAS = 0.05
 NEAR = 0.05  # m, map points this near to a surface are right
-TOLD = 1e-4  # rad, the least deviation of encoders that have none
 
 
 class Plan(NamedTuple):
