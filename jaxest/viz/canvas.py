@@ -63,6 +63,13 @@ def plain(axis: Any, **labels: str) -> Any:
     return axis
 
 
+def logarithmic(axis: Any) -> None:
+    """Make the y axis logarithmic, with plain numbers at 1, 2 and 5 of each decade."""
+    axis.set_yscale("log")
+    for part in (axis.yaxis.set_major_formatter, axis.yaxis.set_minor_formatter):
+        part(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "125" else "")
+
+
 def legend(figure: Any, axis: Any, **options: Any) -> None:
     """Say once, above all panels on the right, what the lines of a panel are."""
     handles, labels = axis.get_legend_handles_labels()
@@ -71,4 +78,4 @@ def legend(figure: Any, axis: Any, **options: Any) -> None:
     )
 
 
-__all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "RED", "legend", "plain", "save", "sheet", "write"]
+__all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "RED", "legend", "logarithmic", "plain", "save", "sheet", "write"]

@@ -65,7 +65,7 @@ def draw(
         now = Lines(*(None if x is None else x[:, j] for x in (mean, lower, upper, read, true)))
         beside = _beside if turning[j] else lambda value, other: value
         _panel(axes[j, 0], time, now, beside)
-        axes[j, 0].set_ylabel(f"{name} [{'deg' if turning[j] else 'mm'}]")
+        axes[j, 0].set_ylabel(f"{name}\n[{'deg' if turning[j] else 'mm'}]", fontsize=8)
         if now.read is not None:
             zero = np.where(np.isfinite(now.read), now.read, np.nan)
             _panel(axes[j, 1], time, Lines(*(None if x is None else beside(x - zero, 0.0) for x in now)), beside)

@@ -49,7 +49,8 @@ def draw(
             ((slice(3, 6), 1e3, "position, 95 % [mm]"), (slice(0, 3), np.rad2deg(1), "rotation, 95 % [deg]")), 1
         ):
             spread = 2 * scale * np.sqrt(np.maximum(np.trace(covariance[:, half, half], axis1=1, axis2=2), 0))
-            axes[row, column].semilogy(seconds, np.where(spread > 0, spread, np.nan), color=COLOURS[2], linewidth=1.1)
+            axes[row, column].plot(seconds, np.where(spread > 0, spread, np.nan), color=COLOURS[2], linewidth=1.1)
+            canvas.logarithmic(axes[row, column])
             axes[row, column].set_ylabel(label if column == 0 else "")
         axes[2, column].set_xlabel("time [s]")
     for axis in axes.flat:

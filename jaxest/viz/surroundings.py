@@ -33,6 +33,10 @@ def draw(
             line = place[[up, k]]
             solid.plot(*line.T, "o-", color="#d1495b", lw=2, ms=3)
             above.plot(line[:, 0], line[:, 1], "o-", color="#d1495b", lw=2, ms=3)
+    for axis in (solid, above):
+        axis.locator_params(nbins=5)
+        axis.tick_params(labelsize=8)
+    solid.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     solid.set_box_aspect(np.maximum(high - low, 0.1))
     solid.set_title("without walls and ceiling", fontsize=10)
     solid.view_init(elev=32, azim=-55)

@@ -74,9 +74,7 @@ def _scale(axis: Any, values: NDArray[Any]) -> None:
     """Use a logarithmic axis where positive values differ by more than three times."""
     there = values[np.isfinite(values)]
     if there.size and (there > 0).all() and there.max() > 3 * there.min():
-        axis.set_yscale("log")
-        for part in (axis.yaxis.set_major_formatter, axis.yaxis.set_minor_formatter):
-            part(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "125" else "")
+        canvas.logarithmic(axis)
 
 
 __all__ = ["draw"]
