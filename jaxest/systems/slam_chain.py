@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxest import linalg
 from jaxest.filters.kalman import Gaussian, independent, information_gain, predict
+from jaxest.filters.kalman.gain import Gained
 from jaxest.filters.kalman.gaussian import product
 from jaxest.filters.kalman.model import clean
 from jaxest.kinematics import Robot
@@ -95,6 +96,8 @@ class Info(NamedTuple):
     """(L,) int32."""
     weakest: Array
     """(L,) smallest eigenvalue of H' R^-1 H of the link's pose."""
+    log_likelihood: Array
+    """(L,) of the link's distances to planes, given all before: what noise is tuned by."""
     overflow: Array
     """() int32."""
     status: Array
@@ -197,7 +200,7 @@ def _step(
         return (links, chart), outcome
 
     points = slam.points_of(body, measurement.ranges)
-    (links, chart), (inliers, iterations, settled, information) = jax.lax.scan(
+    (links, chart), (inliers, iterations, settled, information, density) = jax.lax.scan(
         link, (state.links, state.chart), (jnp.arange(len(body.scanned)), points)
     )
     status = jnp.where(jnp.all(settled), OK, NOT_CONVERGED)
@@ -210,6 +213,7 @@ def _step(
         inliers,
         iterations,
         jax.vmap(linalg.eigh)(information)[0][:, 0],
+        density,
         chart.overflow,
         status,
     )
@@ -265,7 +269,8 @@ def _update(
         enough = s.inliers >= config.least
         information, pull = jnp.where(enough, s.information, 0), jnp.where(enough, s.pull, 0)
         gained = information_gain(prior.covariance, information, pull + product(information, v))
-        return gained.correction, gained.covariance, s.inliers, s.pose
+        innovation, weight = found.residual - product(found.design, v), jnp.where(enough, found.weight, 0)
+        return gained.correction, gained.covariance, s.inliers, s.pose, log_density(gained, innovation, weight)
 
     def again(state: Any, _: None) -> Any:
         result, last, count = state
@@ -275,10 +280,24 @@ def _update(
 
     zero = jnp.zeros(7, dtype)
     (result, last, count), _ = jax.lax.scan(again, (once(zero), zero, jnp.int32(1)), None, length=config.rounds - 1)
-    v, covariance, inliers, information = result
+    v, covariance, inliers, information, density = result
     after = Gaussian(NODE.retract(prior.mean, v), covariance)
     settled = jnp.max(jnp.abs(v - last)) <= 10 * TURNED
-    return after, (inliers, count, settled, information)
+    return after, (inliers, count, settled, information, density)
 
 
-__all__ = ["Info", "Links", "Params", "State", "build", "init"]
+def log_density(gained: Gained, innovation: Array, weight: Array) -> Array:
+    """Return the log-density () of rows that were summed up, given the belief before them.
+
+    Args:
+        gained: as `filters.kalman.information_gain` made it of their sums.
+        innovation: (n,) residuals at the belief's mean, by the linearisation that was summed up.
+        weight: (n,) one over each row's variance; 0 where a row does not count.
+    """
+    used = weight > 0
+    safe = jnp.where(used, weight, 1)
+    own = jnp.sum(weight * innovation**2) + jnp.sum(jnp.where(used, jnp.log(2 * jnp.pi / safe), 0))
+    return -(own + gained.nis + gained.log_det) / 2
+
+
+__all__ = ["Info", "Links", "Params", "State", "build", "init", "log_density"]

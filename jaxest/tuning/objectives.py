@@ -85,7 +85,7 @@ def _beside(step: Step, term: Term) -> Step:
 
 
 def _density(state: PyTree, info: Any) -> Array:
-    return info.log_likelihood
+    return jnp.sum(info.log_likelihood)  # of a step whose parts have one each, all
 
 
 def likelihood(system: System, *, random: bool = False) -> Objective:

@@ -7,9 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from quick_compile import QUICK
+from scipy.stats import multivariate_normal
 from slam_models import build, errors, robot, sensors
 
 from jaxest.filters import run
+from jaxest.filters.kalman import information_gain
 from jaxest.manifolds import quaternion, so3
 from jaxest.sensors.proximity import Proximity, ring
 from jaxest.simulate import boxes
@@ -184,6 +186,21 @@ def test_the_papers_filter_is_right_on_its_own_ground():
     assert np.linalg.eigvalsh(np.asarray(info.covariance)).min() > -1e-6
     with pytest.raises(InputError, match="expected one joint between"):
         slam_chain.build(robot(), ring("tool", 0.1))
+
+
+def test_density_of_summed_rows_is_that_of_one_large_normal(x64):
+    rng = np.random.default_rng(4)
+    root = rng.normal(size=(7, 4))
+    covariance, design = root @ root.T, rng.normal(size=(30, 7))  # singular: some of a link is known
+    weight = np.where(rng.uniform(size=30) < 0.8, rng.uniform(1, 9, 30), 0.0)
+    away = rng.normal(size=30)
+    gained = information_gain(
+        jnp.asarray(covariance), jnp.asarray(design.T * weight) @ design, jnp.asarray(design.T @ (weight * away))
+    )
+    found = slam_chain.log_density(gained, jnp.asarray(away), jnp.asarray(weight))
+    used = weight > 0
+    dense = design[used] @ covariance @ design[used].T + np.diag(1 / weight[used])
+    np.testing.assert_allclose(found, multivariate_normal(np.zeros(used.sum()), dense).logpdf(away[used]), rtol=1e-8)
 
 
 @pytest.fixture(scope="module")
