@@ -35,6 +35,7 @@ EXAMPLES = (
     "jaxest tune a.npz b.npz -m deflection --robot arm.urdf -c sensors.toml --free walk,sensors.encoders.concentration",
     "jaxest tune swing.npz -m torque --robot arm.xml",
     "jaxest tune shaken.npz -m onsite --objective consistency --free force_noise",
+    "jaxest tune a.npz -m deflection --robot arm.urdf -c sensors.toml --objective relaxed --free walk",
 )
 DRAWN = 4, 4  # windows and keys for standard errors of a likelihood that is drawn; all data would take half an hour
 SHOWN = 12  # parameters that a picture has room for
@@ -52,7 +53,7 @@ def run(
         list[Path] | None,
         typer.Option("--truth", "-t", help="Log with the truth, one for each log; the log's own if left out."),
     ] = None,
-    objective: Annotated[str, typer.Option(help="error or likelihood; what fits the method if left out.")] = "",
+    objective: Annotated[str, typer.Option(help="error, likelihood, consistency or relaxed; by the method.")] = "",
     free: Annotated[
         str | None,
         typer.Option(help="Parameters to move, separated by commas: walk, a+b ties two, walk=positive names a range."),

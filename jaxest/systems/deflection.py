@@ -98,6 +98,7 @@ def build(
     noise: Callable[[Space], particle.Transition] = von_mises,
     sag: bool = False,
     ancestors: bool = False,
+    filtering: Callable[..., Any] | None = None,
 ) -> System:
     """Build the filter of one robot's effective joint angles.
 
@@ -117,6 +118,8 @@ def build(
         sag: whether joint angles are expected to give under gravity by `compliance` times the holding torque at the
             angles read. A reading that is not valid counts as `home` in that torque.
         ancestors: whether infos carry them.
+        filtering: `(manifold, transition, log_likelihood) -> step` in place of proposal and resampling, such as
+            `jaxest.tuning.relaxed`, which wants `gaussian` noise.
 
     Returns:
         The system. A measurement is `jaxest.sensors.measurement_type(sensors, others=...)`: a `Reading` per sensor
@@ -142,6 +145,8 @@ def build(
         transition = transition._replace(opening=opening(where, transition, read))
     propose = proposal(manifold, transition, partial(bodies.log_likelihood, body), partial(bodies.rows, body))
     step = particle.filter_step(particle.Model(manifold, propose, resample, ancestors))
+    if filtering is not None:
+        step = filtering(manifold, transition, partial(bodies.log_likelihood, body))
     return System(
         defaults(where, default_params(sensors)),
         partial(init, where, particles),

@@ -112,7 +112,8 @@ def system(
     count = settings.get("particles", PARTICLES[proposal])
     if count < 1:
         raise InputError(f"[deflection] particles: got {count}, expected at least 1")
-    noise = {"von_mises": deflection.von_mises, "gaussian": deflection.gaussian}[_choice(settings, "noise", NOISES)]
+    choice = {"von_mises": deflection.von_mises, "gaussian": deflection.gaussian}
+    noise = choice["gaussian" if "filtering" in options else _choice(settings, "noise", NOISES)]
     given = {key: _number(settings, key, joints.size, signed=key in ("start", "compliance"))
              for key in ("walk", "prior", "start", "compliance") if key in settings}  # fmt: skip
     first = len(joints.of("hinge"))

@@ -14,7 +14,7 @@ from jaxest.types import InputError, unknown_name
 
 TUNABLE = {name: f"jaxest.cli.tunable.{name}" for name in ("orientation", "deflection", "onsite", "torque")}
 """Name of a method, and the module that tunes it."""
-GOALS = ("error", "likelihood")
+GOALS = ("error", "likelihood", "consistency", "relaxed")
 
 
 class Source(NamedTuple):

@@ -15,18 +15,19 @@ NOISY = ("concentration", "lam", "variance")
 FADING = 0.9  # share of the score's past that a step carries on
 WINDOW = 100  # steps of a mini-batch's windows
 RATE = 0.1
+RELAXED = 64  # particles at most, for the work and the memory of a relaxation go with their square
 
 
 def prepare(sources: Sequence[Source], request: Request, goal: str, free: Mapping[str, str | None]) -> Tunable:
-    """Make the readings likely, by mini-batches of windows and the particle filter's score.
+    """Make the readings likely, by mini-batches of windows and the particle filter's score, or its relaxation.
 
     Arguments and result as `jaxest.cli.tunable.prepare`. Free are the walk and each sensor's noise unless said.
     """
     from jaxest import kinematics, tuning
     from jaxest.filters.resampling import stratified
 
-    if goal == "error":
-        raise refuse_goal("deflection", goal, "likelihood: a particle filter's estimates have no gradient")
+    if goal in ("error", "consistency"):
+        raise refuse_goal("deflection", goal, "likelihood or relaxed: a particle filter's estimates have no gradient")
     if request.robot is None:
         raise InputError("the method 'deflection' needs a robot: --robot FILE (MJCF or URDF)")
     settings, robot = request.settings, kinematics.load(request.robot)
@@ -37,8 +38,12 @@ def prepare(sources: Sequence[Source], request: Request, goal: str, free: Mappin
         found = [deflection_streams.on_robot(log, robot, joints, one) for one in described]
         _, measurements, _ = deflection_streams.measurements(log, robot, joints, found, request.nan)
         recordings.append(tuning.recording(measurements))
-    resample = tuning.fading(stratified, FADING)
-    system, params = deflection.system(robot, joints, found, settings, resample=resample)
+    given: dict[str, Any] = {"resample": tuning.fading(stratified, FADING)}
+    chosen = settings
+    if goal == "relaxed":
+        few = min(settings.get("particles", RELAXED), RELAXED)
+        given, chosen = {"filtering": tuning.relaxed}, {**settings, "particles": few}
+    system, params = deflection.system(robot, joints, found, chosen, **given)
     default = [p for p in tuning.paths(params) if p == "walk" or p.rsplit(".", 1)[-1] in NOISY]
     space = tuning.space(params, constrained(free, default))
     shortest = min(len(one.counts) for one in recordings)
@@ -53,7 +58,8 @@ def prepare(sources: Sequence[Source], request: Request, goal: str, free: Mappin
         return table
 
     windows = tuning.Windows(min(4, len(recordings)), min(WINDOW, shortest))
-    return Tunable(tuning.likelihood(system, random=True), space, recordings, "minus log-likelihood of a window", "1",
+    label = "minus log-likelihood of a window" + (", relaxed" if goal == "relaxed" else "")
+    return Tunable(tuning.likelihood(system, random=True), space, recordings, label, "1",
                    1.0, tuning.adam(RATE), windows, tuned, np.float32)  # fmt: skip
 
 

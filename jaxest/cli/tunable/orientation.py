@@ -29,7 +29,7 @@ def prepare(sources: Sequence[Source], request: Request, goal: str, free: Mappin
     """
     from jaxest import tuning
 
-    if goal == "likelihood":
+    if goal not in ("", "error"):
         raise refuse_goal("orientation", goal, "error against a truth")
     logs = [source._replace(log=to_si(source.log)) for source in sources]
     choice = orientation.choose(logs[0].log, request)
