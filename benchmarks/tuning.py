@@ -1,18 +1,19 @@
 """How well tuning by gradient tunes: against a grid, on held-out recordings, against values that are known.
 
-    python benchmarks/tuning.py [--part grid held-out recovery walk] [--broad FOLDER] [--logs 10] [--seed 3] [--json]
+    python benchmarks/tuning.py [--part grid held-out recovery walk torque onsite slam] [--broad FOLDER] [--logs 10]
+        [--seed 3] [--json]
 
 `grid` and `held-out` need the trials of BROAD as NPZ. `grid`: the complementary filter's two gains by `jaxest.tuning`
-from eight starts that lie far apart, beside a grid of 260 settings, on all trials, and on each half tuned on the other.
+from eight starts that lie far apart (on windows first, then from each optimum on the whole), beside a grid of 260
+settings, on all trials, and on each half tuned on the other.
 `held-out`: the attitude filter (ekf) tuned on half of the trials, judged on the other, both ways. `recovery`: the
 deflection filter's concentrations and variances from logs drawn with values that it is not told, from Table I's.
 `walk`: Table I's walk on a bent arm, the tuned filter's error on other logs beside Table I's, guided and by the
-paper's 2048 bootstrap particles, and what the best walk and sensor noise in hindsight would give. The command for one's
-own logs is `jaxest tune`.
+paper's 2048 bootstrap particles, and what the best walk and sensor noise in hindsight would give. `torque`, `onsite`,
+`slam`: see `tuning_systems.py`. The command for one's own logs is `jaxest tune`.
 """
 
 import argparse
-import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -21,6 +22,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import tuning_systems
+from tuning_systems import say
 
 from jaxest import kinematics, models, tuning
 from jaxest.bench import broad
@@ -35,6 +38,10 @@ from jaxest.types import System
 
 GRID = 20, 13  # proportional and integral gains, 260 settings
 STARTS, SPREAD = 8, 1.5
+PART = tuning.Windows(20, 5000, 1000)
+"""Of the trials, on which starts come together: 17 s of each, of which the filter settles over 3.5."""
+ROUGH = tuning.lbfgs(tolerance=3e-3, decrease=1e-6)
+AT_ONCE = 13
 ARM = (
     Sensor("joint_angle", "encoders"),
     Sensor("link_orientation", "imu2", ("site:imu2",)),
@@ -50,11 +57,6 @@ PRIOR = 20.0
 particles may miss the right one, and the likelihood then says more of that than of the noise."""
 PARTICLES, SETTLED = 128, 5
 FADING = 0.97
-
-
-def say(text: str) -> None:
-    """Tell on standard error what is being done."""
-    print(text, file=sys.stderr, flush=True)
 
 
 def recordings(trials: list[broad.Trial]) -> tuning.Recording:
@@ -85,25 +87,31 @@ def grid(folder: Path, seed: int) -> list[Row]:
     points = tuning.disperse(space, STARTS, key=jax.random.key(seed), spread=SPREAD, dtype=np.float32)
     say("tuning on all trials")
     begun = time.perf_counter()
-    found = tuning.minimise(problem, batch, starts=points, progress=say)
+    options = {"windows": PART, "key": jax.random.key(seed + 1), "method": ROUGH, "progress": say}
+    optima, rough = tuning.warm_start(problem, batch, points, **options)
+    say(f"on windows after {time.perf_counter() - begun:.0f} s: {len(optima)} optima")
+    found = tuning.minimise(problem, batch, starts=optima, progress=say)
     took = time.perf_counter() - begun
     say(f"grid of {GRID[0] * GRID[1]}")
     gains = [np.geomspace(lo, hi, n, dtype=np.float32) for lo, hi, n in ((0.05, 5, GRID[0]), (1e-4, 1, GRID[1]))]
     settings = jax.tree.map(lambda x: np.full(GRID[0] * GRID[1], x), start)._replace(
         proportional_gain=np.repeat(gains[0], GRID[1]), integral_gain=np.tile(gains[1], GRID[0])
     )
-    errors = np.stack([
-        degrees(objective, jax.tree.map(lambda x, i=i: x[i], settings), batch) for i in range(GRID[0] * GRID[1])
+    some = jax.jit(jax.vmap(lambda params, batch: tuning.each(objective, params, batch), (0, None)))
+    errors = np.concatenate([
+        np.rad2deg(np.asarray(some(jax.tree.map(lambda x, i=i: x[i : i + AT_ONCE], settings), batch)))
+        for i in range(0, GRID[0] * GRID[1], AT_ONCE)
     ])  # fmt: skip
     least = errors.mean(axis=1)
-    values = np.rad2deg(found.values)
+    values, apart = np.rad2deg(found.values), np.rad2deg(rough.values)
     count = errors.shape[1]
     name, where = "inclination RMSE, 6 axes, complementary", f"tuned on all, {STARTS} starts"
     rows = [
         Row(name, where, float(values.min()), "deg", None, count, float(least.min()), "grid of 260 settings"),
-        Row("largest less smallest of the starts", where, float(np.ptp(values)), "deg", None, STARTS),
-        Row("ratio of largest and smallest gain of the starts", where,
-            float(np.exp(np.ptp(np.asarray(found.points)[:, 0]))), "1", None, STARTS),
+        Row("optima that the starts end in", where, float(len(optima)), "1", None, STARTS),
+        Row("largest less smallest of the starts", "on windows", float(np.ptp(apart)), "deg", None, STARTS),
+        Row("ratio of largest and smallest gain of the starts", "on windows",
+            float(np.exp(np.ptp(np.asarray(rough.points)[:, 0]))), "1", None, STARTS),
         Row("run time, compilation included", where, took, "s"),
     ]  # fmt: skip
     halves = [np.arange(i, count, 2) for i in (0, 1)]
@@ -111,7 +119,7 @@ def grid(folder: Path, seed: int) -> list[Row]:
     for i, half in enumerate(halves):
         other = halves[1 - i]
         say(f"tuning on half {i}")
-        tuned = tuning.minimise(problem, tuning.take(batch, other), starts=points)
+        tuned = tuning.minimise(problem, tuning.take(batch, other), starts=optima)
         judged.append(degrees(objective, tuned.params, tuning.take(batch, half)))
         gridded.append(errors[np.argmin(errors[:, other].mean(axis=1)), half])
     held, by_grid = np.concatenate(judged), np.concatenate(gridded)
@@ -281,7 +289,7 @@ def _hindsight(problem: Any, found: Any, errors: Any, count: int) -> tuple[float
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parts = ["grid", "held-out", "recovery", "walk"]
+    parts = ["grid", "held-out", "recovery", "walk", "torque", "onsite", "slam"]
     parser.add_argument("--part", nargs="+", choices=parts, default=parts)
     parser.add_argument("--broad", type=Path, help="folder with the trials")
     parser.add_argument("--logs", type=int, default=10)
@@ -298,6 +306,7 @@ def main() -> None:
             "held-out": lambda: held_out(given.broad, min(given.evaluations, 12)),
             "recovery": lambda: recovery(given.logs, given.seed, given.evaluations),
             "walk": lambda: walk(given.logs, given.seed, given.evaluations),
+            **{name: partial(getattr(tuning_systems, name), given.logs, given.seed) for name in parts[4:]},
         }[part]()
         rows += made
         for row in made if not given.json else ():

@@ -80,6 +80,16 @@ def test_noise_is_recovered_with_honest_errors():
     np.testing.assert_allclose(curved.gradient, 0, atol=1e-2)
 
 
+def test_starts_come_together_on_windows():
+    starts = tuning.disperse(SPACE, 4, key=jax.random.key(1), spread=1.5)
+    windows = tuning.Windows(10, 100, 20)
+    optima, rough = tuning.warm_start(PROBLEM, BATCH, starts, windows=windows, key=jax.random.key(5), evaluations=40)
+    assert optima.shape == (1, 2)
+    np.testing.assert_allclose(rough.points, np.broadcast_to(optima, (4, 2)), atol=tuning.warm.APART)
+    apart = tuning.warm_start(PROBLEM, BATCH, starts, windows=windows, key=jax.random.key(5), evaluations=1)[0]
+    assert apart.shape == (4, 2)  # where the search was stopped before they came together
+
+
 @pytest.mark.slow
 def test_standard_errors_are_those_of_repetitions():
     """The spread of the estimates over fresh data is what the Hessian claims, to its sampling error."""
