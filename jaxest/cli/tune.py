@@ -135,6 +135,8 @@ def _prepare(
     if truth and len(truth) != len(logs):
         raise bad_input(f"--truth: got {len(truth)} for {len(logs)} logs, expected one each, or none")
     if robot is not None:
+        if method in methods.ROBOTLESS:
+            raise bad_input(f"--robot {robot}: the method {method!r} knows no robot, expected none; leave it out")
         existing(robot)
     chosen = settings.load(config)
     sources, said = [], set()
@@ -145,7 +147,10 @@ def _prepare(
             note(f"{path.name}: {'; '.join(log.notes)}")
         sources.append(tunable.Source(log, read(truth[i]) if truth else log))
     request = methods.Request(chosen.method(method), None, chosen.nan, robot)
-    return chosen, tunable.prepare(method, sources, request, objective, _free(free))
+    given = tunable.prepare(method, sources, request, objective, _free(free))
+    if truth and all(one.truth is None for one in given.recordings):
+        raise bad_input(f"--truth: the objective '{given.label}' knows no truth; leave it out")
+    return chosen, given
 
 
 def _free(text: str | None) -> dict[str, str | None]:

@@ -47,7 +47,8 @@ def warm_start(
     part = sample_windows(batch, windows, key)
     found = minimise(problem, part, method=method, starts=starts, evaluations=evaluations, progress=progress,
                      key=key if problem.objective.random else None, **options)  # fmt: skip
-    points, kept = np.asarray(found.points), []
+    points = np.asarray(found.points)
+    kept: list[int] = []
     for i in np.argsort(np.where(np.isfinite(found.values), found.values, np.inf)):
         if np.isfinite(found.values[i]) and all(np.linalg.norm(points[i] - points[j]) > APART for j in kept):
             kept.append(i)

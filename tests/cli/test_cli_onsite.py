@@ -89,6 +89,13 @@ def test_forgetting_is_tuned_and_said_to_be_unknown_of_a_rigid_link(invoke, rod,
                                                     "-o", "out").stderr  # fmt: skip
 
 
+def test_what_tuning_does_not_look_at_is_refused(refused, rod, tmp_path):
+    write(streams(rod[0]), tmp_path / "log.npz")
+    words = ("tune", "log.npz", "-m", "onsite", "-o", "tuned.toml")
+    assert "the method 'onsite' knows no robot" in refused(*words, "--robot", "arm.xml")
+    assert "knows no truth; leave it out" in refused(*words, "--truth", "log.npz")
+
+
 def test_which_two_of_three(refused, rod, tmp_path):
     imus, _ = rod
     write(streams({**imus, "third": imus["left"]}), tmp_path / "log.npz")
