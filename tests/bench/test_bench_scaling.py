@@ -1,10 +1,13 @@
 """Scaling curves, and the small filters beside other people's."""
 
+import time
+
 import numpy as np
 import pytest
 
 from jaxest import bench, kinematics, models
-from jaxest.bench import deflection, deflection_accuracy, deflection_peers, scaling
+from jaxest.bench import deflection, deflection_accuracy, deflection_peers, scaling, scaling_cases
+from jaxest.types import InputError
 
 
 def test_exponent_is_the_slope_over_the_larger_half():
@@ -16,6 +19,24 @@ def test_exponent_is_the_slope_over_the_larger_half():
     assert scaling.exponent([2, 4], [3.0, 12.0]) == (pytest.approx(2.0), None)
 
 
+def test_a_curve_ends_in_time_and_an_unknown_one_is_refused(monkeypatch):
+    calls = []
+
+    def build(size):
+        calls.append(size)
+        return scaling_cases.Program(lambda: time.sleep(size * 1e-3), ())
+
+    curve = scaling_cases.Curve("sleeps", "sleeping", [1, 4, 16, 64, 1024], build)
+    monkeypatch.setattr(scaling, "curves", lambda small, peers: [curve])
+    rows = list(scaling.rows(peers=False, progress=lambda message: None, only=["sleeps"], seconds=2.0))
+    assert calls[:2] == [1, 4]
+    assert 1024 not in calls  # five calls of a second each
+    assert [row.metric for row in rows][:2] == ["time against sleeps", "first call, sleeps"]
+    assert rows[-1].metric == "exponent of sleeps"
+    with pytest.raises(InputError, match="sleeps"):
+        list(scaling.rows(peers=False, progress=lambda message: None, only=["sleep"]))
+
+
 @pytest.mark.slow  # compiles ten programs
 def test_scaling(tmp_path):
     pytest.importorskip("scipy")
@@ -24,7 +45,7 @@ def test_scaling(tmp_path):
     assert [row.metric for row in rows if row.metric.startswith(scaling.EXPONENT)] == [
         scaling.EXPONENT + curve.item for curve in studies
     ]
-    assert len(rows) == sum(len(curve.sizes) + 1 for curve in studies)
+    assert len(rows) == sum(len(curve.sizes) + 2 for curve in studies)  # the first call and the exponent
     assert all(row.value > 0 for row in rows if row.metric.startswith(scaling.METRIC))
     assert all(
         (row.ratio is not None) == row.metric.endswith("points")
