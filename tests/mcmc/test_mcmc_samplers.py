@@ -1,5 +1,7 @@
 """Samplers leave the joint density of parameters, path and data as it is; chains resume; a frozen path is flagged."""
 
+import re
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -179,3 +181,16 @@ def test_one_trace_and_the_same_numbers_without_vmap(warm):
     np.testing.assert_allclose(alone.path, after.chain.path[1], rtol=1e-9)
     assert diagnostics.R_HAT == 1.01
     assert info.updated.shape == (40,)
+
+
+@pytest.mark.parametrize("make", [particle_gibbs.guided, particle_mh.guided, kernel.collapsed])
+def test_chains_side_by_side_call_no_batched_lapack(make, x64):
+    one = case(PENDULUM)
+    tuning = chains.untuned(PENDULUM, one.params, one.prior, one.data, one.path, jnp.zeros(1))
+    params, step = Params(one.params, one.prior, tuning), make(PENDULUM)
+    states = chains.dispersed(PENDULUM, one.prior, one.data, tuning.linear, key=jax.random.key(0), count=4)
+    keys = jax.random.split(jax.random.key(1), 4)
+    text = jax.jit(jax.vmap(lambda s, key: step(params, one.data, s, key=key))).lower(states, keys).as_text()
+    for call in re.findall(r"custom_call @lapack.*", text):
+        shapes = [shape.split("x")[:-1] for shape in re.findall(r"tensor<((?:\d+x)+)[a-z]\d+>", call)]
+        assert all(set(shape[:-2]) <= {"1"} for shape in shapes if len(shape) > 1), call
