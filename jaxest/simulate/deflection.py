@@ -21,6 +21,7 @@ from jaxest.sensors import Sensor, default_params, measurement_type
 from jaxest.sensors.joints import chosen, columns
 from jaxest.sensors.spec import checked, module
 from jaxest.simulate import trajectories
+from jaxest.simulate.noise import coloured
 from jaxest.types import Array, ArrayLike, PyTree, Reading
 
 G = 9.80665  # m/s2
@@ -171,12 +172,12 @@ def _orientation(key: Array, faults: Faults, dt: float, sign: int, ideal: Array)
     one, two = jax.random.split(key)
     walk = jnp.cumsum(faults.yaw_walk * np.sqrt(dt) * jax.random.normal(one, (len(ideal),), ideal.dtype))
     yaw = sign * faults.drift * dt * jnp.arange(len(ideal), dtype=ideal.dtype) + walk
-    tilt = jnp.asarray(faults.tilt, ideal.dtype) * _coloured(two, len(ideal), 2, dt, faults.tilt_time, ideal.dtype)
+    tilt = jnp.asarray(faults.tilt, ideal.dtype) * coloured(two, len(ideal), 2, dt, faults.tilt_time, ideal.dtype)
     return Reading(_turned(jnp.concatenate([tilt, yaw[:, None]], axis=1), ideal), jnp.ones(len(ideal), bool))
 
 
 def _relative(key: Array, faults: Faults, dt: float, sign: int, ideal: Array) -> Reading:
-    error = jnp.asarray(faults.tilt, ideal.dtype) * _coloured(key, len(ideal), 3, dt, faults.tilt_time, ideal.dtype)
+    error = jnp.asarray(faults.tilt, ideal.dtype) * coloured(key, len(ideal), 3, dt, faults.tilt_time, ideal.dtype)
     return Reading(_turned(error, ideal), jnp.ones(len(ideal), bool))
 
 
@@ -214,18 +215,6 @@ _CORRUPT = MappingProxyType(
 def _turned(error: Array, ideal: Array) -> Array:
     """Turn (T, 4) by rotation vectors (T, 3) on the left."""
     return jax.vmap(lambda v, q: quat.compose(quat.exp(v), q))(error, ideal)
-
-
-def _coloured(key: Array, steps: int, size: int, dt: float, time: ArrayLike, dtype: Any) -> Array:
-    """Unit-variance noise (T, size) with an exponential correlation."""
-    decay = jnp.exp(-dt / jnp.asarray(time, dtype))
-    drawn = jax.random.normal(key, (steps, size), dtype)
-
-    def body(value: Array, fresh: Array) -> tuple[Array, Array]:
-        value = decay * value + jnp.sqrt(1 - decay * decay) * fresh
-        return value, value
-
-    return jax.lax.scan(body, drawn[0], drawn)[1]
 
 
 def _seen(key: Array, faults: Faults, dt: float, steps: int) -> Array:

@@ -1,6 +1,6 @@
-"""What a real three-axis sensor makes of a true signal."""
+"""Noise with a memory, and what a real three-axis sensor makes of a true signal."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -38,6 +38,30 @@ class Faults(NamedTuple):
     """(T, 3) u."""
 
 
+def coloured(key: Array, steps: int, size: int, dt: ArrayLike, time: ArrayLike, dtype: Any) -> Array:
+    """Draw noise of unit variance whose correlation falls off exponentially, the same from the first sample on.
+
+    Args:
+        key: random key.
+        steps: T, samples.
+        size: n, independent signals.
+        dt: () s, between samples.
+        time: () s, after which the correlation has fallen to 1 / e.
+        dtype: of the noise.
+
+    Returns:
+        (T, n).
+    """
+    decay = jnp.exp(-jnp.asarray(dt, dtype) / jnp.asarray(time, dtype))
+    drawn = jax.random.normal(key, (steps, size), dtype)
+
+    def body(value: Array, fresh: Array) -> tuple[Array, Array]:
+        value = decay * value + jnp.sqrt(1 - decay * decay) * fresh
+        return value, value
+
+    return jnp.concatenate([drawn[:1], jax.lax.scan(body, drawn[0], drawn[1:])[1]])
+
+
 def corrupt(key: Array, triad: Triad, value: Array, dt: Array) -> tuple[Array, Faults]:
     """Turn a true signal into readings.
 
@@ -67,4 +91,4 @@ def corrupt(key: Array, triad: Triad, value: Array, dt: Array) -> tuple[Array, F
     return jnp.clip(reading, -limit, limit), Faults(matrix, offset)
 
 
-__all__ = ["Faults", "Triad", "corrupt"]
+__all__ = ["Faults", "Triad", "coloured", "corrupt"]

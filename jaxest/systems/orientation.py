@@ -12,6 +12,7 @@ from jaxest.filters import attitude, complementary, complementary_covariance
 from jaxest.filters.complementary import Imu, exponential
 from jaxest.filters.complementary_covariance import Noise
 from jaxest.manifolds import quaternion as quat
+from jaxest.simulate.noise import coloured
 from jaxest.types import Array, PyTree, System, unknown_name
 
 SENSORS = ("gyroscope", "accelerometer", "magnetometer")
@@ -130,12 +131,12 @@ def simulate(
     start, walk, hiss = jax.random.normal(walks, (3, steps, 3), dtype)
     bias = given.initial_bias * start[:1] + given.bias_walk * jnp.sqrt(dt) * jnp.cumsum(walk, axis=0)
     gyroscope = rate + bias + given.gyroscope / jnp.sqrt(dt) * hiss
-    shaken = jnp.asarray(shaking, dtype) * _coloured(moves, steps, dt, given.motion_time)
+    shaken = jnp.asarray(shaking, dtype) * coloured(moves, steps, 3, dt, given.motion_time, dtype)
     force = given.gravity * jnp.array([[0, 0, 1]], dtype) + shaken
     field = jnp.broadcast_to(jnp.array([0, 18, -41], dtype), (steps, 3))
     per_density = 1 / jnp.sqrt(_density(dt, time))
-    sway = given.gravity * given.accelerometer * per_density * _coloured(forces, steps, dt, time)
-    uneven = 44.8 * given.magnetometer * per_density * _coloured(fields, steps, dt, time)
+    sway = given.gravity * given.accelerometer * per_density * coloured(forces, steps, 3, dt, time, dtype)
+    uneven = 44.8 * given.magnetometer * per_density * coloured(fields, steps, 3, dt, time, dtype)
     accelerometer = _seen(quaternion, force) + sway
     magnetometer = _seen(quaternion, field) + uneven if magnetic else None
     measurements = complementary.imu(gyroscope, accelerometer, magnetometer, dt=jnp.broadcast_to(dt, (steps,)))
@@ -160,20 +161,8 @@ def _motion(key: Array, steps: int, dt: Array, speed: Array) -> tuple[Array, Arr
     return rate, jax.lax.scan(turn, start, rate)[1]
 
 
-def _coloured(key: Array, steps: int, dt: Array, time: Array) -> Array:
-    """Unit-variance noise (steps, 3) whose correlation falls off with `time`."""
-    decay = jnp.exp(-dt / time)
-    drawn = jax.random.normal(key, (steps, 3), dt.dtype)
-
-    def body(value: Array, fresh: Array) -> tuple[Array, Array]:
-        value = decay * value + jnp.sqrt(1 - decay * decay) * fresh
-        return value, value
-
-    return jax.lax.scan(body, drawn[0], drawn)[1]
-
-
 def _density(dt: Array, time: Array) -> Array:
-    """Squared density of `_coloured` at low frequency: dt when white, 2 time when slow."""
+    """Squared density of `noise.coloured` at low frequency: dt when white, 2 time when slow."""
     decay = jnp.exp(-dt / time)
     return dt * (1 + decay) / (1 - decay)
 
