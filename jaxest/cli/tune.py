@@ -1,14 +1,12 @@
 """`jaxest tune`: from logs to the config under which a method does best on them."""
 
 import importlib.util
-import math
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from jaxest.cli.devices import Devices, Join
@@ -82,7 +80,7 @@ def run(
     del verbose, devices, join
     import jax
 
-    from jaxest.cli import tunable
+    from jaxest.cli import tunable, tuned
     from jaxest.io import write_config
     from jaxest.io.report import report
 
@@ -97,28 +95,28 @@ def run(
     if held_out >= len(given.recordings):
         raise bad_input(f"--held-out {held_out}: got {len(logs)} logs, expected at least one to tune on")
     begun = time.perf_counter()
-    with jax.enable_x64(True) if given.dtype == np.float64 else nullcontext():
+    with jax.enable_x64(True) if jax.numpy.dtype(given.dtype) == "float64" else nullcontext():
         with working("tuning ...") as say:
             found, rows = _search(given, starts, spread, held_out, evaluations, seed, checkpoint, say)
         if jax.process_index():
             return Answer(status=DONE)  # the first process writes and prints
         tables = {**({"columns": chosen.columns} if chosen.columns else {}), "nan": chosen.nan, **chosen.tables}
         write_config(out, {**tables, method: given.settings(found.params)}, overwrite=force)
-        kept = _distinct(given.space, rows)
+        kept = tuned.distinct(given.space, rows)
         if draws:
-            _draw(picture, given, found, held_out > 0, f"{method}: {given.label}", list(kept)[:SHOWN])
+            tuned.draw(picture, given, found, held_out > 0, f"{method}: {given.label}", list(kept)[:SHOWN])
     rows = list(kept.values())
-    shown = _rows(given, found, held_out, time.perf_counter() - begun)
+    shown = tuned.rows(given, found, held_out, time.perf_counter() - begun)
     loose = [row.name for row in rows if not row.identified]
     if loose:
         warn(f"these logs hardly tell {', '.join(loose)}: standard errors of a factor e or more")
     if json:
-        return Answer(json_object(report(NAME, [*shown, *_parameters(given, rows)]), unidentified=loose))
+        return Answer(json_object(report(NAME, [*shown, *tuned.parameters(given, rows)]), unidentified=loose))
     from jaxest.cli.tables import figures
 
     page = console()
     page.print(figures(shown, f"{method}: {given.label}, {len(given.recordings)} log(s), stopped: {found.stopped}"))
-    page.print(_table(given, rows))
+    page.print(tuned.table(given, rows))
     page.print(f"wrote {out}" + (f", {picture}" if draws else ""), soft_wrap=True)
     return Answer(status=DONE)
 
@@ -215,84 +213,3 @@ def _search(
 def _scaled(line: str, given: Any) -> str:
     words, _, value = line.rpartition(" ")
     return f"{words} {float(value) * given.scale:.5g} {given.unit}"
-
-
-def _distinct(space: Any, estimates: list[Any]) -> dict[int, Any]:
-    """Entries that move, one of those that are equal, by where they stand among all; named as `--free` names them."""
-    kept: dict[int, Any] = {}
-    at = 0
-    for one in space.free:
-        size = math.prod(one.shape)
-        tied = one.bijection.size == 1 and len({row.value for row in estimates[at : at + size]}) == 1
-        rows = {at: estimates[at]._replace(name=one.name)} if tied else dict(enumerate(estimates[at : at + size], at))
-        kept |= {i: row for i, row in rows.items() if row.sd > 0 or row.value != 0}  # a concentration that stays 0
-        at += size
-    return kept
-
-
-def _rows(given: Any, found: Any, held_out: int, took: float) -> list[Any]:
-    from jaxest.io.report import Row
-
-    trace, best = found.trace, int(np.argmin(np.where(np.isfinite(found.values), found.values, np.inf)))
-    rows = []
-    if len(trace.value):
-        last = np.flatnonzero(trace.taken[:, best])
-        end = trace.value[last[-1], best] if last.size else float("nan")
-        rows.append(Row(given.label, "tuned", float(end * given.scale), given.unit, n=len(given.recordings) - held_out,
-                        reference=float(trace.value[0, 0] * given.scale), reference_name="start"))  # fmt: skip
-        if held_out:
-            rows.append(Row(given.label, "held out", float(found.value * given.scale), given.unit, n=held_out,
-                            reference=float(trace.held_out[0, 0] * given.scale), reference_name="start"))  # fmt: skip
-        spread = float(np.ptp(found.values[np.isfinite(found.values)])) * given.scale
-        rows.append(Row("best of each start", "largest less smallest", spread, given.unit, n=len(found.values)))
-    rows.append(Row("evaluations", f"stopped: {found.stopped}", float(int(found.search.index)), "1"))
-    return [*rows, Row("run time", "compilation included", took, "s")]
-
-
-def _parameters(given: Any, estimates: list[Any]) -> list[Any]:
-    from jaxest.io.report import Row
-
-    rows = []
-    for row in estimates:
-        known = "" if row.identified else ", not identified"
-        rows.append(Row(row.name, f"free{known}", row.value, "1", spread=row.sd if np.isfinite(row.sd) else None,
-                        reference=row.start, reference_name="start"))  # fmt: skip
-        rows.append(Row(row.name, "rise of the objective by 10 %", row.rise * given.scale, given.unit))
-    return rows
-
-
-def _table(given: Any, estimates: list[Any]) -> Any:
-    """Parameters for people: what was found, how well it is known, what it matters."""
-    from jaxest.cli.tables import grid, number
-
-    unit = "" if given.unit == "1" else f", {given.unit}"
-    head = ("parameter", "start", "tuned", "standard error", f"10 % more adds{unit}", "")
-
-    def written(value: float) -> str:
-        return number(value, 6 if 0.9 < value < 1 else 3)  # what is forgotten stands behind the nines
-
-    lines = [
-        (row.name, written(row.start), written(row.value), number(row.sd) if np.isfinite(row.sd) else "-",
-         number(row.rise * given.scale, 2), "" if row.identified else "not identified")
-        for row in estimates
-    ]  # fmt: skip
-    return grid(head, lines, right=(1, 2, 3, 4))
-
-
-def _draw(path: Path, given: Any, found: Any, judged: bool, title: str, shown: list[int]) -> None:
-    import jax
-
-    from jaxest.viz import tuning
-
-    trace = found.trace
-    if not len(trace.value):
-        return
-    values, held = np.array(trace.value) * given.scale, np.array(trace.held_out) * given.scale
-    points = np.array(jax.vmap(jax.vmap(given.space.values))(trace.point))
-    for i, taken in enumerate(trace.taken):  # what was tried and refused is not drawn
-        for series in (values, held, points):
-            series[i, ~taken] = series[i - 1, ~taken] if i else np.nan
-    best = int(np.argmin(np.where(np.isfinite(found.values), found.values, np.inf)))
-    tuning.draw(path, values, points[..., shown], names=[given.space.names[i] for i in shown], best=best,
-                held_out=held if judged else None,
-                label="objective" if given.unit == "1" else given.unit, title=title)  # fmt: skip

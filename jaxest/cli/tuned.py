@@ -1,0 +1,90 @@
+"""What `jaxest tune` says of a search: figures, a table of parameters, a picture."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxest.cli.tables import grid, number
+from jaxest.io.report import Row
+
+
+def distinct(space: Any, estimates: list[Any]) -> dict[int, Any]:
+    """Entries that move, one of those that are equal, by where they stand among all; named as `--free` names them."""
+    kept: dict[int, Any] = {}
+    at = 0
+    for one in space.free:
+        size = math.prod(one.shape)
+        tied = one.bijection.size == 1 and len({row.value for row in estimates[at : at + size]}) == 1
+        rows = {at: estimates[at]._replace(name=one.name)} if tied else dict(enumerate(estimates[at : at + size], at))
+        kept |= {i: row for i, row in rows.items() if row.sd > 0 or row.value != 0}  # a concentration that stays 0
+        at += size
+    return kept
+
+
+def rows(given: Any, found: Any, held_out: int, took: float) -> list[Row]:
+    """Return how far the search came: objective, starts, evaluations, seconds `took`."""
+    trace, best = found.trace, int(np.argmin(np.where(np.isfinite(found.values), found.values, np.inf)))
+    shown = []
+    if len(trace.value):
+        last = np.flatnonzero(trace.taken[:, best])
+        end = trace.value[last[-1], best] if last.size else float("nan")
+        shown.append(Row(given.label, "tuned", float(end * given.scale), given.unit, n=len(given.recordings) - held_out,
+                         reference=float(trace.value[0, 0] * given.scale), reference_name="start"))  # fmt: skip
+        if held_out:
+            shown.append(Row(given.label, "held out", float(found.value * given.scale), given.unit, n=held_out,
+                             reference=float(trace.held_out[0, 0] * given.scale), reference_name="start"))  # fmt: skip
+        spread = float(np.ptp(found.values[np.isfinite(found.values)])) * given.scale
+        shown.append(Row("best of each start", "largest less smallest", spread, given.unit, n=len(found.values)))
+    shown.append(Row("evaluations", f"stopped: {found.stopped}", float(int(found.search.index)), "1"))
+    return [*shown, Row("run time", "compilation included", took, "s")]
+
+
+def parameters(given: Any, estimates: list[Any]) -> list[Row]:
+    """Return parameters for machines."""
+    rows = []
+    for row in estimates:
+        known = "" if row.identified else ", not identified"
+        rows.append(Row(row.name, f"free{known}", row.value, "1", spread=row.sd if np.isfinite(row.sd) else None,
+                        reference=row.start, reference_name="start"))  # fmt: skip
+        rows.append(Row(row.name, "rise of the objective by 10 %", row.rise * given.scale, given.unit))
+    return rows
+
+
+def table(given: Any, estimates: list[Any]) -> Any:
+    """Parameters for people: what was found, how well it is known, what it matters."""
+    unit = "" if given.unit == "1" else f", {given.unit}"
+    head = ("parameter", "start", "tuned", "standard error", f"10 % more adds{unit}", "")
+
+    def written(value: float) -> str:
+        return number(value, 6 if 0.9 < value < 1 else 3)  # what is forgotten stands behind the nines
+
+    lines = [
+        (row.name, written(row.start), written(row.value), number(row.sd) if np.isfinite(row.sd) else "-",
+         number(row.rise * given.scale, 2), "" if row.identified else "not identified")
+        for row in estimates
+    ]  # fmt: skip
+    return grid(head, lines, right=(1, 2, 3, 4))
+
+
+def draw(path: Path, given: Any, found: Any, judged: bool, title: str, shown: list[int]) -> None:
+    """Draw the searches' paths; `shown` are the entries that get a panel."""
+    from jaxest.viz import tuning
+
+    trace = found.trace
+    if not len(trace.value):
+        return
+    values, held = np.array(trace.value) * given.scale, np.array(trace.held_out) * given.scale
+    points = np.array(jax.vmap(jax.vmap(given.space.values))(trace.point))
+    for i, taken in enumerate(trace.taken):  # what was tried and refused is not drawn
+        for series in (values, held, points):
+            series[i, ~taken] = series[i - 1, ~taken] if i else np.nan
+    best = int(np.argmin(np.where(np.isfinite(found.values), found.values, np.inf)))
+    tuning.draw(path, values, points[..., shown], names=[given.space.names[i] for i in shown], best=best,
+                held_out=held if judged else None,
+                label="objective" if given.unit == "1" else given.unit, title=title)  # fmt: skip
+
+
+__all__ = ["distinct", "draw", "parameters", "rows", "table"]
