@@ -21,7 +21,10 @@ def people(path):
         group["gyr"], group["acc"] = GYR, ACC
         group["label"] = ["walk"] * N
         pairs = np.zeros(N // 2, [("stamp_us", "<i8"), ("q1", "<f8"), ("word", "S3")])
-        pairs["stamp_us"], pairs["q1"] = (TIME * 1e6).round()[::2], np.arange(N // 2)
+        pairs["stamp_us"], pairs["q1"] = (
+            (TIME * 1e6).round()[::2],
+            np.arange(N // 2) / 10,
+        )  # an angle in rad, by its size
         file["samples"] = pairs
         file["link"] = h5py.ExternalLink("elsewhere.h5", "/x")
 
@@ -44,7 +47,7 @@ def test_a_table_names_datasets_members_and_attributes(tmp_path):
     }
     log = read(tmp_path / "log.hdf5", table)
     np.testing.assert_allclose(log.streams["gyroscope"].value, np.deg2rad(GYR), rtol=1e-6)
-    np.testing.assert_allclose(log.streams["joint_position"].value, np.deg2rad(np.arange(N // 2)))
+    np.testing.assert_allclose(log.streams["joint_position"].value, np.deg2rad(np.arange(N // 2) / 10))
     np.testing.assert_allclose(log.streams["joint_position"].time, TIME[::2])
     with pytest.raises(InputError, match="dataset 'imu/gry' does not exist; did you mean 'imu/gyr'"):
         read(tmp_path / "log.hdf5", {"rate": 1.0, "gyroscope": {"array": "imu/gry"}})
