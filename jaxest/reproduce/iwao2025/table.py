@@ -55,13 +55,19 @@ def gathered(
             found[job[0], job[2].seed] = runs.result(*job)
     else:
         # XLA's threads do not survive a fork.
-        with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, mp_context=spawn, initializer=_on_one_core) as pool:
             waiting = {pool.submit(runs.result, *job): job for job in jobs}
             for done, future in enumerate(as_completed(waiting)):
                 name, _, plan, _ = waiting[future]
                 found[name, plan.seed] = future.result()
                 say(f"table 2: {name}, room {plan.seed}: {_said(found[name, plan.seed])} ({done + 1} of {len(jobs)})")
     return {name: [found[name, plan.seed] for plan in plans] for name in names}
+
+
+def _on_one_core() -> None:
+    """Give a worker's kernels one thread: with one for each core, those of several workers wait for each other."""
+    os.environ.setdefault("NPROC", "1")
 
 
 def _said(result: dict[str, Any]) -> str:
