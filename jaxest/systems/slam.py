@@ -66,7 +66,8 @@ def build(
         rounds: searches for planes in an update at most; the first scans take some, later ones one.
         least: inliers without which a link keeps its prediction.
         central: whether a voxel keeps the point nearest to its centre, as the paper does, instead of the mean.
-        align: whether to find out how each sensor is turned from where it is believed to look, by about `Params.tilt`.
+        align: whether to find out how each sensor is turned from where it is believed to look, by about `Params.tilt`;
+            a step then takes about three times as long.
 
     Returns:
         The system. A measurement is `Fixed` or, where the root is free, `Free`.
