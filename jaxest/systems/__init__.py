@@ -4,7 +4,8 @@
 are all that is needed; `jaxest.filters.run` drives the step.
 
 * `orientation`: one IMU. `posture`: a robot's joints from IMUs on its links; `posture_pairs` as the paper has it.
-* `deflection`: the posture of a robot that bends; `direct_fusion` is its baseline by hand.
+* `deflection`: the posture of a robot that bends; `deflection_scatter` says whether its noise is right, `direct_fusion`
+  is its baseline by hand.
 * `onsite`: the pose of one IMU relative to another on the same link, live; `onsite_batch` for a whole recording,
   `onsite_chain` for a robot of modules and sticks, `onsite_drift` for tuning what it forgets.
 * `slam`: where links are, and the room about them; `slam_inertial` with an IMU on a free root, `slam_chain` as the
@@ -19,6 +20,7 @@ from typing import Any
 
 __all__ = [
     "deflection",
+    "deflection_scatter",
     "direct_fusion",
     "onsite",
     "onsite_batch",

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.cli.methods import SIZE, Outcome, Request, deflection_joints, deflection_streams
+from jaxest.cli.methods import SIZE, Outcome, Request, deflection_joints, deflection_noise, deflection_streams
 from jaxest.cli.methods.deflection_config import NOISES, PROPOSALS, Described, place, schema, sensors
 from jaxest.cli.methods.deflection_joints import Joints
 from jaxest.cli.truth import joints as known_joints
@@ -65,10 +65,12 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     joints = deflection_joints.chosen(robot, settings)
     described = [deflection_streams.on_robot(log, robot, joints, one) for one in described]
     steps, measurements, notes = deflection_streams.measurements(log, robot, joints, described, request.nan)
-    found = _run(robot, joints, described, settings, measurements)
+    found, scattered = _run(robot, joints, described, settings, measurements)
     truth, known = _truth(log, settings, steps.time, joints)
     reference = deflection_streams.reference(described, measurements, joints)
     rows = _rows(steps.time, joints, found, truth, reference, known)
+    more, said = deflection_noise.judged(described, scattered)
+    rows, notes = rows + more, notes + said
 
     def draw(path: Path, title: str) -> None:
         from jaxest.viz import joints as picture
@@ -130,12 +132,12 @@ def system(
 
 def _run(
     robot: Any, joints: Joints, described: list[Described], settings: Mapping[str, Any], measurements: Any
-) -> Estimated:
+) -> tuple[Estimated, Any]:
     import jax
 
     from jaxest.filters import run
     from jaxest.kinematics import space
-    from jaxest.systems import deflection
+    from jaxest.systems import deflection, deflection_scatter
 
     built, params = system(robot, joints, described, settings)
     key = jax.random.key(settings.get("seed", 0))
@@ -150,7 +152,12 @@ def _run(
         np.asarray(x, np.float64)
         for x in (balls, info.covariance, history.lower, history.upper, info.ess, info.log_likelihood)
     )
-    return Estimated(mean, balls, covariance, lower, upper, ess, float(evidence.sum()), np.asarray(info.status))
+    scattered = deflection_scatter.scatter(
+        robot, [one.sensor for one in described], params, info.mean, info.covariance, measurements, joints=joints.names,
+        sag="compliance" in settings,
+    )  # fmt: skip
+    found = Estimated(mean, balls, covariance, lower, upper, ess, float(evidence.sum()), np.asarray(info.status))
+    return found, scattered
 
 
 def _truth(

@@ -231,7 +231,7 @@ def _encoders(stream: str, joints: Sequence[str]) -> str:
     named = f"# joints = {json.dumps(list(joints))}  # of the columns, in this order\n" if joints else ""
     return (
         f'[deflection.sensors.encoders]\nkind = "joint_angle"\nstream = {json.dumps(stream)}\n{named}'
-        "concentration = 15.0  # 1/rad^2, how far the robot may bend from what they read\n"
+        "concentration = 15.0  # 1 / sd^2, sd in rad: 15 deg of bend; yours, or one for each joint: bands rest on it\n"
     )
 
 
@@ -239,16 +239,16 @@ def _slides(stream: str, joints: Sequence[str]) -> str:
     return (
         f'[deflection.sensors.slides]\nkind = "slide_position"\nstream = {json.dumps(stream)}\n'
         f"# joints = {json.dumps(list(joints))}  # of the columns, in this order\n"
-        "variance = 1e-4  # m^2, how far slides may be from what is read\n"
+        "variance = 1e-4  # sd^2, sd in m: how far slides may be from what is read, 1 cm here\n"
     )
 
 
 def _table(name: str, kind: str, stream: str, frame: str, imu: str = "") -> str:
     source = f"imu = {json.dumps(imu)}  # raw: gyroscope and accelerometer" if imu else f"stream = {json.dumps(stream)}"
     noise = (
-        "variance = [0.01, 0.01, 0.01]  # m^2"
+        "variance = [0.01, 0.01, 0.01]  # sd^2 along the world's axes, 10 cm here; 5 mm is 2.5e-5"
         if kind == "link_position"
-        else "lam = [0, -800, -800, 0]  # of w, x, y, z; the last 0 leaves the yaw free, -800 where it does not drift"
+        else "lam = [0, -800, -800, 0]  # -2 / sd^2 about x, y, z: 3 deg; 0 says nothing of a yaw that drifts"
     )
     return (
         f"[deflection.sensors.{_identifier(name)}]\nkind = {json.dumps(kind)}\n{source}\n"
