@@ -18,6 +18,11 @@ NAME = "demo"
 EXAMPLES = ("jaxest demo", "jaxest demo --seed 3 -o demo --force")
 RATE, SECONDS, PARTICLES = 20.0, 60.0, 256
 TIP = "site:end_effector"
+ENCODER, TILT, MARKER = 0.003, 0.01, 0.005
+"""Standard deviations of the sensors, rad, rad, m, as `simulate.deflection.Faults` has them: what a data sheet says."""
+SAG = (0.0, 0.1, 0.1, 0.0)
+"""rad, how far each joint may be from what its encoder says: gravity bends the shoulder and the elbow, and no more is
+known; a yaw about the vertical it does not bend, nor a jaw that weighs nothing."""
 
 
 class Simulated(NamedTuple):
@@ -76,14 +81,22 @@ def run(
 
 
 def sensors() -> "tuple[Any, ...]":
-    """Return the arm's sensors: encoders, IMUs on links 2 and 3, a marker on the hand."""
-    from jaxest.sensors import Sensor
+    """Return the arm's sensors, each with its noise: encoders, IMUs on links 2 and 3, a marker on the hand.
 
+    The paper's Table I, the default, is for a robot and sensors far worse than these: bands would be ten times too
+    wide, and encoders, which are right where nothing sags, would count for nothing beside a marker.
+    """
+    import numpy as np
+
+    from jaxest.sensors import Sensor, joint_angle, link_orientation, link_position
+
+    encoders = joint_angle.Params(1 / (np.square(ENCODER) + np.square(SAG)))
+    tilt = link_orientation.Params(link_orientation.axisymmetric(2 / TILT**2))  # yaw drifts: nothing is said of it
     return (
-        Sensor("joint_angle", "encoders"),
-        Sensor("link_orientation", "imu2", ("site:imu2",)),
-        Sensor("link_orientation", "imu3", ("site:imu3",)),
-        Sensor("link_position", "marker", (TIP,)),
+        Sensor("joint_angle", "encoders", params=encoders),
+        Sensor("link_orientation", "imu2", ("site:imu2",), tilt),
+        Sensor("link_orientation", "imu3", ("site:imu3",), tilt),
+        Sensor("link_position", "marker", (TIP,), link_position.Params(np.full(3, MARKER**2))),
     )
 
 
