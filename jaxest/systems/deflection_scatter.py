@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from numpy.typing import NDArray
 
 from jaxest.kinematics import Robot
 from jaxest.sensors import Sensor
@@ -20,11 +21,11 @@ MANY = 1024
 class Scatter(NamedTuple):
     """What is left of each of s sensors' readings once the estimate is taken off."""
 
-    ratio: Array
+    ratio: NDArray[np.float64]
     """(s,) its root mean square over the one that the sensor's noise lets expect: 1 where that is right."""
-    spare: Array
+    spare: NDArray[np.float64]
     """(s,) how many readings' worth the estimate does not simply follow; of few, no ratio can be told."""
-    readings: Array
+    readings: NDArray[np.float64]
     """(s,) how many numbers were read."""
 
 
@@ -75,7 +76,7 @@ def scatter(
     squares, spare, there = (np.asarray(x, np.float64).sum(axis=0) for x in every(mean, covariance, measurements))
     first = jax.tree.map(lambda x: x[0], (mean, measurements))
     owner = np.repeat(np.arange(len(body.looks)), _sizes(body, params, *first))
-    squares, spare, there = (np.bincount(owner, x, len(body.looks)) for x in (squares, spare, there))
+    squares, spare, there = (np.bincount(owner, x, len(body.looks)).astype(float) for x in (squares, spare, there))
     with np.errstate(divide="ignore", invalid="ignore"):
         return Scatter(np.sqrt(np.where(spare > 0, squares / spare, np.nan)), spare, there)
 
