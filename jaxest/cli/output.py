@@ -11,6 +11,8 @@ import math
 import os
 import re
 import sys
+import threading
+import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -26,6 +28,7 @@ _GUIDED = re.compile(
 )
 """Words of messages that say what to do."""
 DONE, BAD_INPUT, REJECTED = 0, 2, 3
+PATIENCE = 30.0  # s between lines of progress where standard error is no terminal
 PIPE_WIDTH = 140  # columns of a table that goes to a file or a pipe
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output, nothing else there.")]
@@ -122,7 +125,7 @@ def _finite(value: Any) -> Any:
 
 @contextlib.contextmanager
 def working(what: str) -> Iterator[Callable[[str], None]]:
-    """Show a spinner on standard error, on a terminal, while something of unknown length runs.
+    """Show on standard error that something of unknown length runs: a spinner on a terminal, else a line now and then.
 
     Args:
         what: shown beside it.
@@ -132,10 +135,31 @@ def working(what: str) -> Iterator[Callable[[str], None]]:
     """
     err = console(sys.stderr)
     if not err.is_terminal:
-        yield lambda message: None
+        with _lines(what, sys.stderr) as tell:
+            yield tell
         return
     with err.status(escape(what)) as status:
         yield lambda message: status.update(escape(message))
+
+
+@contextlib.contextmanager
+def _lines(what: str, stream: TextIO) -> Iterator[Callable[[str], None]]:
+    """Write a plain line with the time gone after each `PATIENCE`: for a log or a pipe, which has no spinner."""
+    begun, done, latest = time.monotonic(), threading.Event(), [what]
+
+    def tell() -> None:
+        while not done.wait(PATIENCE):
+            with contextlib.suppress(OSError, ValueError):  # who read it has gone
+                stream.write(f"{time.monotonic() - begun:.0f} s: {latest[-1]}\n")
+                stream.flush()
+
+    thread = threading.Thread(target=tell, daemon=True)
+    thread.start()
+    try:
+        yield lambda message: latest.append(message)
+    finally:
+        done.set()
+        thread.join()
 
 
 def bad_input(message: str) -> Exception:
