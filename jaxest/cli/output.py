@@ -183,9 +183,13 @@ def next_step(message: str, name: str, options: Mapping[str, Any]) -> str:
     if _GUIDED.search(message):
         return ""
     for value in options.values():
-        if isinstance(value, Path) and message.startswith(str(value)) and value.is_file() and name != "inspect":
+        if isinstance(value, Path) and message.startswith(str(value)) and value.is_file() and _inspected(value, name):
             return f"; `jaxest inspect {value}` shows what is in it"
     return f"; `jaxest {name} --help` has the options and examples"
+
+
+def _inspected(path: Path, name: str) -> bool:
+    return name != "inspect" and path.suffix != ".toml"
 
 
 def _is_bad_input(error: Exception) -> bool:

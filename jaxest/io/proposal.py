@@ -281,16 +281,18 @@ def _with_unit(raw: Raw, name: str, streams: dict[str, _Found], assumed: list[st
     if kind == "accelerometer":
         unit = plausible.acceleration_unit(value)
         if not unit:
-            unsure.append(f"{name}: median norm {plausible.median_norm(value):.4g} is neither m/s2 nor g")
+            norm = plausible.median_norm(value)
+            odd = f"median norm {norm:.4g} is neither m/s2 nor g" if np.isfinite(norm) else "no row of it is finite"
+            unsure.append(f"{name}: {odd}; at rest it reads 1 g, 9.81 m/s2")
     elif kind == "magnetometer":
         unit = plausible.field_unit(value)
     elif kind == "gyroscope" and acc is not None:
         turned = plausible.in_degrees(plausible.rate_check(_seconds(raw, column, len(value)), value, acc))
         unit = "deg/s" if turned else unit
         if turned is None and plausible.too_fast(value):
-            unsure.append(f"{name}: faster than any gyroscope in rad/s; deg/s?")
+            unit = _degrees(name, unsure)
     elif kind == "gyroscope" and plausible.too_fast(value):
-        unsure.append(f"{name}: faster than any gyroscope in rad/s; deg/s?")
+        unit = _degrees(name, unsure)
     elif kind == "joint_position" and (most := _largest(value)) > 4 * np.pi:
         unit = "deg"
         unsure.append(f"{name}: values up to {most:.4g}, in rad more than two turns; deg?")
@@ -303,6 +305,12 @@ def _with_unit(raw: Raw, name: str, streams: dict[str, _Found], assumed: list[st
             column = column._replace(order="xyzw")
     assumed.append(f"{name}: unit {unit or 'unknown'} assumed")
     return column._replace(unit=unit)
+
+
+def _degrees(name: str, unsure: list[str]) -> str:
+    """Say that a gyroscope's rates cannot be rad/s, and return the unit to propose."""
+    unsure.append(f"{name}: faster than any gyroscope in rad/s; deg/s?")
+    return "deg/s"
 
 
 def _largest(value: NDArray[Any]) -> float:

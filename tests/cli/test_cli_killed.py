@@ -25,6 +25,7 @@ from jaxest.io import read, write
 HEAR = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
 START = HEAR + "import jaxest.cli.methods.torque as torque; torque.PIECE = 10; from jaxest.cli import main; main()"
 TORQUE = ["estimate", "log.npz", "-m", "torque", "--robot", "arm.xml", "-c", "c.toml", "--work", "kept", "--force"]
+WORK, STILL = 600.0, 120.0  # processor seconds of the longest command many times over; s without any work at all
 PAPER = ["reproduce", "santaera2015", "--small", "--part", "calibration", "--work", "kept", "--force"]
 TUNE = ["tune", "log.npz", "-m", "orientation", "-c", "c.toml", "--checkpoint", "kept.npz", "--force", "--starts", "2",
         "--evaluations", "60"]  # fmt: skip
@@ -50,9 +51,34 @@ def begin(words, folder):
     )  # fmt: skip
 
 
+def worked(number):
+    """Processor seconds that a process has had, None where the system does not tell."""
+    try:
+        fields = Path(f"/proc/{number}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def ended(child):
+    """What a process wrote, once it has ended: it hangs where it has had more work than any needs, or long none."""
+    last, since = worked(child.pid), time.monotonic()
+    while True:
+        try:
+            return child.communicate(timeout=1)
+        except subprocess.TimeoutExpired:
+            now = worked(child.pid)
+            if now is None or now != last:
+                last, since = now, time.monotonic()
+            if (now or 0) > WORK or time.monotonic() - since > STILL:
+                child.kill()
+                _, err = child.communicate()
+                pytest.fail(f"hangs after {now} s of work: {err}")
+
+
 def finish(words, folder, status=(0, 3)):
     child = begin(words, folder)
-    out, err = child.communicate(timeout=300)
+    out, err = ended(child)
     assert child.returncode in status, err
     return out
 
@@ -65,7 +91,7 @@ def stopped(words, folder, number, chance, seconds):
         time.sleep(0.005)
     if child.poll() is None:
         child.send_signal(number)
-    _, err = child.communicate(timeout=60)
+    _, err = ended(child)
     assert "Traceback" not in err
     return child.returncode not in (0, 3)
 

@@ -71,7 +71,7 @@ def test_a_log_becomes_poses_biases_and_a_map(log, tmp_path, capsys, monkeypatch
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({}, "names no sensor"),
+        ({}, r"names no sensor; expected .*\[slam.rings.arm\] frames = "),
         ({"rings": {"a": {"along": 0.1}}}, r"\[slam.rings.a\]: has no frame"),
         ({"sensors": {"a": {"frame": "root"}}}, r"\[slam.sensors.a\]: has no position, directions"),
         ({"rings": {"a": {"frame": "root"}}}, "has 192 columns, the config's sensors 512 zones"),

@@ -101,7 +101,8 @@ def test_units_that_the_data_settle_are_applied_and_noted(tmp_path):
         ({"gyr": np.zeros((N, 3)), "t_a": np.arange(N), "t_b": np.arange(N)}, ["stamps could be any of t_a, t_b"]),
         ({"gyr": np.zeros((N, 3)), "gyro": np.ones((N, 3)), "fs": 1.0}, ["gyroscope", "gyr", "gyro", "could be it"]),
         ({"acc": np.full((N, 3), 100.0), "fs": 1.0}, ["173.2", "neither m/s2 nor g"]),
-        ({"gyr": np.full((N, 3), 100.0), "fs": 1.0}, ["faster than any gyroscope"]),
+        ({"gyr": np.full((N, 3), 100.0), "fs": 1.0}, ["faster than any gyroscope", 'unit = "deg/s"']),
+        ({"acc": np.full((N, 3), np.nan), "fs": 1.0}, ["accelerometer: no row of it is finite"]),
         ({"gyr": np.zeros((3, N)), "acc": np.full((N, 3), 5.7), "fs": 1.0}, ["(3, 400)", "(n, 3)"]),
     ],
 )

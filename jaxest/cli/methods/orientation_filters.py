@@ -76,7 +76,7 @@ def choose(settings: Mapping[str, Any]) -> Chosen:
     smooth = bool(settings.get("smooth", False))
     name = settings.get("filter", "complementary" if plain else next(iter(FILTERS)))
     if name not in FILTERS:
-        raise unknown_name("filter", str(name), FILTERS)
+        raise unknown_name("[orientation] filter", str(name), FILTERS)
     tables = [key for key in FILTERS if key in settings and key != name]
     foreign = tables + (plain if name != "complementary" else [])
     if foreign:
@@ -90,7 +90,7 @@ def choose(settings: Mapping[str, Any]) -> Chosen:
 
     update = settings.get("update", UPDATES[0])
     if update not in UPDATES:
-        raise unknown_name("update", update, UPDATES)
+        raise unknown_name("[orientation] update", update, UPDATES)
     default = Params()
     gains = _numbers(settings, default.filter, "[orientation]")
     noise = _numbers(settings.get("noise", {}), default.noise, "[orientation.noise]")

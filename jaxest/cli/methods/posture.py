@@ -126,7 +126,12 @@ def choose(log: SensorLog, robot: Any, request: Request) -> Choice:
         found = {imu: _frame_of(imu, robot.frame_names) for imu in imus_in(log)}
         given = {imu: frame for imu, frame in found.items() if frame}
     if not given:
-        there = ", ".join(imus_in(log)) or "none"
+        there = ", ".join(imus_in(log))
+        if not there:
+            raise InputError(
+                f"{where(log)}no IMU has a name before its streams ({', '.join(log.streams)}), as in hand/gyroscope; "
+                'put into a config which columns are whose: [columns."hand/gyroscope"]'
+            )
         raise InputError(
             f"{where(log)}no IMU has the name of a frame (IMUs: {there}); put into a config:\n[posture.imus]\n"
             + "\n".join(f'{json.dumps(imu)} = "FRAME"' for imu in imus_in(log))

@@ -154,7 +154,11 @@ def sensors(settings: Mapping[str, Any]) -> list[Any]:
         limits = {k: table[k] for k in ("minimum", "maximum") if k in table}
         found.append(Proximity(table["frame"], np.asarray(table["position"], float), away, **limits))
     if not found:
-        raise InputError("[slam] names no sensor; expected a --config with tables such as [slam.rings.arm]")
+        raise InputError(
+            "[slam] names no sensor; expected a --config with a table for each ring of sensors about links, as in "
+            '[slam.rings.arm] frames = ["link1"], or for each sensor, as in [slam.sensors.nose] frame = "hand", '
+            "position = [0, 0, 0.1], directions = [[0, 0, 1]]"
+        )
     return found
 
 
