@@ -3,6 +3,7 @@
 import gc
 import os
 from ctypes.util import find_library
+from importlib.metadata import version
 from pathlib import Path
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
@@ -11,6 +12,10 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("NPROC", "1")
 if "DISPLAY" not in os.environ and find_library("EGL"):  # before anything imports mujoco, which looks only once
     os.environ.setdefault("MUJOCO_GL", "egl")
+# Most of the suite's time is the compiler's, so programs are compiled quickly, here and in what a test starts. The live
+# steps of the contract are compiled as users have them (`quick_compile.FULL`); all tests are with `XLA_FLAGS= pytest`.
+if os.environ["JAX_PLATFORMS"] == "cpu" and version("jaxlib").startswith("0.10."):  # 0.11 does not know the first flag
+    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0")
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # the compilation cache logs every machine feature otherwise
 
 import jax
@@ -21,8 +26,10 @@ SHARED = ROOT.parent / "shared" / "data"
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # two workers share them
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+gc.set_threshold(200_000, 20, 50)  # a fifth of the time of tracing goes into looking for garbage otherwise
 
 MOST = 20_000
 """Mappings of memory with which a worker goes on as it is; Linux allows 65530, a compiled program takes some."""

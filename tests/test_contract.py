@@ -22,7 +22,7 @@ from onsite_models import chain, pose, position, rotation, window
 from particle_models import GUIDED
 from particle_models import build as particle_arm
 from posture_models import fused, paired, pairs
-from quick_compile import QUICK
+from quick_compile import FULL, QUICK
 from slam_models import tiny
 
 from jaxest import kinematics
@@ -175,7 +175,7 @@ def case_of(name: str) -> Case:
         draw(jax.random.key(2)),
         key,
         start,
-        jax.jit(counted),
+        jax.jit(counted, compiler_options=FULL),
         partial(run, system.step, key=key),
         jax.jit(jax.vmap(one), compiler_options=QUICK),
         jax.jit(jax.vmap(slope), compiler_options=QUICK),
