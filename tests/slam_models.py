@@ -30,13 +30,13 @@ def build(free=False, system=slam, **options):
     return system.build(robot(free), sensors(), layout=Hashed(0.25, (32, 32, 16)), capacity=1500, points=72, **options)
 
 
-def tiny():
-    """Build a SLAM of a free root and one joint, 32 zones a link, for tests that compile it again and again."""
-    text = TREE.format(joint="<freejoint/>")
+def tiny(free=True, system=slam, **options):
+    """Build a SLAM of a root and one joint, 32 zones a link, for tests that compile it again and again."""
+    text = TREE.format(joint="<freejoint/>" if free else "")
     keep = text[: text.index('<body name="b"')] + "</body></body></worldbody></mujoco>"
     both = [s for frame in ("root", "a") for s in ring(frame, 0.1, rows=2, columns=2)]
-    options = {"layout": Hashed(0.25, (32, 32, 16)), "capacity": 600, "points": 32, "least": 4}
-    return slam.build(kinematics.load(keep), both, **options)
+    sizes = {"layout": Hashed(0.25, (32, 32, 16)), "capacity": 600, "points": 32, "least": 4}
+    return system.build(kinematics.load(keep), both, **sizes, **options)
 
 
 def errors(info, truth):

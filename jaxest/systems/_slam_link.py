@@ -15,6 +15,7 @@ from jaxest.systems._slam_tilt import Mounts, Turned, aimed, astray, filed, lear
 from jaxest.types import Array
 
 LASTS = 25.0  # scans: an error of the link's that never changes counts as new that seldom
+REST = 1e-9  # m or rad, that a link goes in a step at least
 STILL = 500  # scans of a link that stands still tell as much as two
 
 
@@ -80,8 +81,11 @@ def repeats(params: Any, links: bodies.Links, before: bodies.Links, index: Array
         before: the same at the step before.
         index: () int32, steps seen.
     """
-    turned = jnp.sum(links.rotation * before.rotation, axis=(1, 2))
-    gone = jnp.linalg.norm(links.position - before.position, axis=1) + REACH * jnp.sqrt(jnp.maximum(3 - turned, 0))
+    turned = jnp.sum((links.rotation - before.rotation) ** 2, axis=(1, 2)) / 2
+    moved = jnp.sum((links.position - before.position) ** 2, axis=1)
+    # A link at rest, as a fixed root is, has gone no way: the root of 0 has no derivative, and NaN would be that of all.
+    gone, swept = (jnp.sqrt(jnp.maximum(x, REST**2)) for x in (moved, turned))
+    gone = gone + REACH * swept
     return jnp.where(index == 0, 1, 1 + 2 * params.renewal / (gone + params.renewal / STILL))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from quick_compile import QUICK
 from scipy.stats import multivariate_normal
-from slam_models import build, errors, robot, sensors
+from slam_models import build, errors, robot, sensors, tiny
 
 from jaxest.filters import run
 from jaxest.filters.kalman import information_gain
@@ -17,6 +17,7 @@ from jaxest.sensors.proximity import Proximity, ring
 from jaxest.simulate import boxes
 from jaxest.systems import _slam_body as bodies
 from jaxest.systems import slam, slam_chain
+from jaxest.systems._slam_link import repeats
 from jaxest.systems._slam_rows import Points, Pose, match, moved, point_slope, sums, world
 from jaxest.types import NON_FINITE, OK, InputError, Reading
 
@@ -344,6 +345,49 @@ def test_links_move_as_their_slopes_say(x64):
         np.testing.assert_allclose(at.travel[:, :, k], (ahead.position - behind.position) / 2e-6, atol=1e-8)
         turned = jax.vmap(lambda a, b: so3.log(a @ b.T))(ahead.rotation, behind.rotation) / 2e-6
         np.testing.assert_allclose(at.turn[:, :, k], turned, atol=1e-8)
+
+
+def test_a_link_at_rest_counts_its_scans_with_a_finite_derivative(x64):
+    """A fixed root goes no way at all; of a link that moves the derivative is the finite difference."""
+
+    @jax.jit
+    def scans(by):
+        """Of a root at rest, and of a link that moves and turns by as much."""
+        place, turn = by * jnp.array([[0.0, 0, 0], [0.6, 0, 0.8]]), by * jnp.array([[0.0, 0, 0], [0, 0.3, 0.4]])
+        after = bodies.Links(place, jax.vmap(so3.exp)(turn), place, place)
+        still = jnp.zeros((2, 3))
+        before = bodies.Links(still, jnp.broadcast_to(jnp.eye(3), (2, 3, 3)), still, still)
+        return repeats(slam.Params(), after, before, jnp.int32(3))
+
+    slope = jax.jit(jax.jacrev(scans))
+    np.testing.assert_allclose(scans(0.0), 1 + 2 * 500, rtol=1e-5)
+    assert np.isfinite(np.asarray(slope(0.0))).all()
+    # A rotation by half a radian counts as 2 sin(0.25) m at the distance at which rotations count as ways.
+    np.testing.assert_allclose(scans(1.0)[1], 1 + 0.4 / (1 + 2**0.5 * 2**0.5 * np.sin(0.25) + 4e-4), rtol=1e-4)
+    near = (scans(0.1 + 1e-6) - scans(0.1 - 1e-6)) / 2e-6
+    np.testing.assert_allclose(slope(0.1), near, rtol=1e-6, atol=1e-6)
+    assert near[1] < 0
+
+
+@pytest.mark.slow  # three programs of the whole step for each
+@pytest.mark.parametrize("align", [False, True])
+def test_the_derivative_of_a_run_by_its_parameters_is_the_finite_difference(x64, align):
+    system = tiny(free=False, align=align)
+    params = jax.tree.map(jnp.float64, system.default_params._replace(tilt=0.02))
+    measurements, _ = system.simulate(params, key=jax.random.key(1), steps=4)
+
+    def loss(params):
+        _, info = run(system.step, params, system.init(params), measurements)
+        return jnp.sum(jnp.sin(3 * info.position[-1])) + jnp.sum(jnp.sin(10 * info.bias_deviation))
+
+    value = jax.jit(loss, compiler_options=QUICK)
+    slopes = jax.jit(jax.grad(loss), compiler_options=QUICK)(params)
+    assert all(np.isfinite(slope) for slope in slopes)
+    for name in ("tilt", "noise", "floor", "bias_start"):
+        at, h = getattr(params, name), 1e-4 * float(getattr(params, name))
+        near = value(params._replace(**{name: at + h})) - value(params._replace(**{name: at - h}))
+        assert getattr(slopes, name) != 0
+        np.testing.assert_allclose(getattr(slopes, name), near / (2 * h), rtol=1e-3, err_msg=name)
 
 
 def test_bad_robots_and_sensors_are_named():
