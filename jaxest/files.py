@@ -107,8 +107,22 @@ def write_text(path: PathLike, text: str, overwrite: bool = False) -> None:
     Raises:
         InputError: the output exists, or cannot be written.
     """
+    write_bytes(path, text.encode(), overwrite)
+
+
+def write_bytes(path: PathLike, content: bytes, overwrite: bool = False) -> None:
+    """Write bytes, whole or not at all.
+
+    Args:
+        path: where they go.
+        content: what it will hold.
+        overwrite: whether an existing file may be replaced.
+
+    Raises:
+        InputError: the output exists, or cannot be written.
+    """
     with replacing(path, overwrite) as file:
-        file.write(text.encode())
+        file.write(content)
 
 
 @contextmanager

@@ -77,7 +77,7 @@ def run(
     from jaxest.cli import methods, settings
     from jaxest.cli.tables import figures
     from jaxest.cli.window import windowed
-    from jaxest.files import existing, write_text
+    from jaxest.files import existing, write_bytes, write_text
     from jaxest.io import read, write
     from jaxest.io.inspect import doubtful_units
     from jaxest.io.report import Row, report, to_json
@@ -104,8 +104,12 @@ def run(
     out.mkdir(parents=True, exist_ok=True)
     write(outcome.estimate, targets[0], overwrite=force)
     written = [targets[0]]
-    for name, content in {targets[1].name: f"{text}\n", **outcome.files}.items():
-        write_text(out / name, content, overwrite=force)
+    contents: dict[str, str | bytes] = {targets[1].name: f"{text}\n", **outcome.files}
+    for name, content in contents.items():
+        if isinstance(content, bytes):
+            write_bytes(out / name, content, overwrite=force)
+        else:
+            write_text(out / name, content, overwrite=force)
         written.append(out / name)
     if len(targets) > 2 and outcome.draw:
         outcome.draw(targets[2], f"{log.stem}: {method}")

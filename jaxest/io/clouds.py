@@ -1,12 +1,13 @@
 """Point clouds in files: PLY and PCD for viewers, NPZ for ourselves."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.files import existing, replacing
+from jaxest.files import existing, write_bytes
 from jaxest.io import npz
 from jaxest.types import InputError
 
@@ -36,15 +37,27 @@ def write_cloud(cloud: Cloud, path: str | Path) -> None:
         InputError: another suffix, shapes that do not fit, or the file cannot be written.
     """
     path = Path(path)
-    point = np.asarray(cloud.point, float).reshape(-1, 3) if np.size(cloud.point) else np.zeros((0, 3))
-    count = np.asarray(cloud.count, float)
-    if count.shape != (len(point),):
-        raise InputError(f"{path}: {count.shape} counts for {len(point)} points")
     if _suffix(path) == ".npz":
+        point, count = _checked(cloud, path)
         npz.save(path, {"point": point, "count": count}, overwrite=True)
         return
+    write_bytes(path, encoded(cloud, path), overwrite=True)
+
+
+def encoded(cloud: Cloud, path: str | Path) -> bytes:
+    """Return the bytes of a file of points, for whoever writes files himself.
+
+    Args:
+        cloud: the points.
+        path: ends in `.ply` or `.pcd`.
+
+    Raises:
+        InputError: another suffix, or shapes that do not fit.
+    """
+    path = Path(path)
+    point, count = _checked(cloud, path)
     rows = np.column_stack([point, count]).astype("<f4")
-    if _suffix(path) == ".ply":
+    if _suffix(path, SUFFIXES[:2]) == ".ply":
         names = "".join(f"property float {name}\n" for name in ("x", "y", "z", "count"))
         head = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{names}end_header\n"
     else:
@@ -52,8 +65,15 @@ def write_cloud(cloud: Cloud, path: str | Path) -> None:
             "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z count\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
             f"WIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\nDATA binary\n"
         )
-    with replacing(path, overwrite=True) as file:
-        file.write(head.encode() + rows.tobytes())
+    return head.encode() + rows.tobytes()
+
+
+def _checked(cloud: Cloud, path: Path) -> Cloud:
+    point = np.asarray(cloud.point, float).reshape(-1, 3) if np.size(cloud.point) else np.zeros((0, 3))
+    count = np.asarray(cloud.count, float)
+    if count.shape != (len(point),):
+        raise InputError(f"{path}: {count.shape} counts for {len(point)} points")
+    return Cloud(point, count)
 
 
 def read_cloud(path: str | Path) -> Cloud:
@@ -86,9 +106,9 @@ def read_cloud(path: str | Path) -> Cloud:
     return Cloud(point[good], count[good])
 
 
-def _suffix(path: Path) -> str:
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path}: ends in {path.suffix or 'nothing'!r}, expected one of {', '.join(SUFFIXES)}")
+def _suffix(path: Path, known: Sequence[str] = SUFFIXES) -> str:
+    if path.suffix.lower() not in known:
+        raise InputError(f"{path}: ends in {path.suffix or 'nothing'!r}, expected one of {', '.join(known)}")
     return path.suffix.lower()
 
 
@@ -189,4 +209,4 @@ def _table(path: Path, body: bytes, count: int, dtype: np.dtype, text: bool) -> 
         raise InputError(f"{path}: {error}") from None
 
 
-__all__ = ["SUFFIXES", "Cloud", "read_cloud", "write_cloud"]
+__all__ = ["SUFFIXES", "Cloud", "encoded", "read_cloud", "write_cloud"]

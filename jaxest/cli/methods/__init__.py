@@ -64,8 +64,8 @@ class Outcome(NamedTuple):
     """why the result must not be used; empty where it may"""
     draw: Callable[[Path, str], None] | None
     """writes a picture with a title, if there is one to draw"""
-    files: Mapping[str, str] = {}
-    """texts to be written beside the estimate, by the name of the file"""
+    files: Mapping[str, str | bytes] = {}
+    """texts and other contents to be written beside the estimate, by the name of the file"""
 
 
 def estimate(method: str, log: SensorLog, request: Request) -> Outcome:

@@ -10,14 +10,22 @@ from numpy.typing import NDArray
 from jaxest.cli import truth
 from jaxest.cli.methods import SIZE, Outcome, Request
 from jaxest.cli.methods.slam_imu import driven
-from jaxest.io import SensorLog, Stream, to_si
+from jaxest.io import SensorLog, Stream, clouds, to_si
+from jaxest.io.clouds import Cloud
 from jaxest.io.log import refuse_nan, stream, where
 from jaxest.io.report import Row
 from jaxest.types import InputError, unknown_name
 
+MAP = "slam_map.ply"
 LOST = 0.1  # share of steps flagged as lost above which the result must not be used
 WORDS = ("joints", "ranges", "travel_stream", "turn_stream", "imu", "gyroscope_stream", "accelerometer_stream")
 POSITIVE = ("noise", "gate")  # the other numbers may be 0
+
+
+def files(settings: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the names of the files that are written beside the estimate."""
+    del settings
+    return (MAP,)
 
 
 def numbers() -> tuple[str, ...]:
@@ -50,7 +58,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
     Returns:
         Streams `joints`, `joints_bias`, `joints_deviation`, and for each body `NAME/position` and `NAME/orientation`;
-        the map is written as PLY beside the picture.
+        the map is a PLY file beside the estimate.
 
     Raises:
         InputError: no robot, no sensor, streams that do not fit.
@@ -107,16 +115,16 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
         rows.append(Row("turn of a sensor", "largest", float(angle.max()), "deg"))
 
     def draw(path: Path, title: str) -> None:
-        from jaxest.io.clouds import Cloud, write_cloud
         from jaxest.viz import surroundings
 
-        cloud = Cloud(chart, np.asarray(state.chart.total)[: len(chart), 3].astype(float))
-        write_cloud(cloud, path.with_name(f"{path.stem}_map.ply"))
         surroundings.draw(path, chart, info.position[-1], robot.topology.body_parent, title=title)
 
     stands = ("free" + (", driven by an IMU" if imu else "")) if free else "fixed"
     notes = [f"{len(placed)} sensors, {rays(placed)} zones; the root is {stands}"]
-    return Outcome(SensorLog(streams, log.source), rows, notes, _refused(info), draw)
+    cloud = Cloud(chart, np.asarray(state.chart.total)[: len(chart), 3].astype(float))
+    return Outcome(
+        SensorLog(streams, log.source), rows, notes, _refused(info), draw, {MAP: clouds.encoded(cloud, MAP)}
+    )
 
 
 def _told(settings: Mapping[str, Any]) -> dict[str, float]:
@@ -243,4 +251,4 @@ def _refused(info: Any) -> list[str]:
     return reasons
 
 
-__all__ = ["estimate", "schema", "sensors"]
+__all__ = ["estimate", "files", "schema", "sensors"]
