@@ -36,7 +36,7 @@ def tiny(free=True, system=slam, **options):
     keep = text[: text.index('<body name="b"')] + "</body></body></worldbody></mujoco>"
     both = [s for frame in ("root", "a") for s in ring(frame, 0.1, rows=2, columns=2)]
     sizes = {"layout": Hashed(0.25, (32, 32, 16)), "capacity": 600, "points": 32, "least": 4}
-    return system.build(kinematics.load(keep), both, **sizes, **options)
+    return system.build(kinematics.load(keep), both, **(sizes | options))
 
 
 def errors(info, truth):

@@ -147,14 +147,21 @@ def match(
     found = known & (planes.thickness < params.thickness + scatter + hazy**0.5)
     along = jnp.sum(n[:, :, None] * moves, axis=1)
     roots = len(covariance) - len(offset)
+    away = x - planes.center
+    residual = jnp.sum(n * away, axis=1) - product(along, offset)
+    read = jnp.sum(share * read, axis=0)
+    slant = jnp.sum(n * ray, axis=1)
+    white = (scatter * slant) ** 2
+    lasting = params.lasting**2 + (params.share * scatter) ** 2
+    tilted = (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0) if turned is None else hazy
+    plain = white * (1 + 1 / jnp.maximum(read, 1)) + lasting + tilted + params.uneven**2
+    x = x - jnp.where(found, _overshoot(residual, slant, scatter, plain), 0)[:, None] * ray
     slope = point_slope(pose, x)
     if turned is not None:
         slope = swung(slope, pose.rotation, points, turned.first)
     design = jnp.sum(n[:, :, None] * slope, axis=1)
     whole = design[:, roots:]
     design = jnp.concatenate([design[:, :roots], whole - along], axis=1)
-    away = x - planes.center
-    residual = jnp.sum(n * away, axis=1) - product(along, offset)
     arm = x - pose.position[None]
     lever = jnp.concatenate([jnp.cross(arm, n), n], axis=1)
     allowed = params.gate**2 * points.reach + 9 * scatter**2
@@ -165,20 +172,25 @@ def match(
     shares = residual**2 / allowed
     inside = found & (shares < 1)
     # Planes of a few readings each are wrong alike for all that is compared with them, and for scans to come.
-    read = jnp.sum(share * read, axis=0)
-    slant = jnp.sum(n * ray, axis=1)
-    white = (scatter * slant) ** 2
-    tilted = (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0) if turned is None else hazy
-    lasting = params.lasting**2 + (params.share * scatter) ** 2
     once = 1 / jnp.maximum(read, 1)
     variance = (params.floor**2 + white + planes.thickness**2) * (1 + params.fresh * once) + tilted
     variance = variance + params.rough * scatter**2 * once
     again = _alike(whole, along, covariance[roots:, roots:]) * read
     variance = (variance + again * lasting) ** 2 / variance
-    odd = jnp.sum(jnp.where(inside, residual**2 / (white * (1 + 1 / read) + lasting + tilted + params.uneven**2), 0))
+    odd = jnp.sum(jnp.where(inside, residual**2 / plain, 0))
     misfit = jnp.sum(jnp.where(points.valid, jnp.where(inside, shares, 1), 0))
     far = None if turned is None else hazy / points.reach**2
     return Rows(residual, design, lever, jnp.where(inside, 1 / variance, 0), known, misfit, odd, mount, far)
+
+
+def _overshoot(residual: Array, slant: Array, scatter: Array, variance: Array) -> Array:
+    """Return how much too long (n,) m a range is likely to be, for a residual of a variance (n,) m2 that has it in it.
+
+    A point that its range's error e puts too far off has a lever too long by e, and a residual of e times the slant.
+    Their product is e^2 on average, not 0, and in scan after scan it would turn the link the same way. What a residual
+    tells of e is taken off the lever; the rest is independent of the residual.
+    """
+    return scatter**2 * slant * residual / variance
 
 
 def _alike(whole: Array, along: Array, covariance: Array) -> Array:

@@ -13,6 +13,7 @@ from slam_models import build, errors, robot, sensors, tiny
 from jaxest.filters import run
 from jaxest.filters.kalman import information_gain
 from jaxest.manifolds import quaternion, so3
+from jaxest.mapping.layout import grid
 from jaxest.sensors.proximity import Proximity, ring
 from jaxest.simulate import boxes
 from jaxest.systems import _slam_body as bodies
@@ -145,6 +146,30 @@ def test_a_full_map_is_told():
     assert np.all(np.asarray(info.status) == slam.FULL)
     assert np.all(np.diff(np.asarray(info.overflow)) > 0)
     assert np.isfinite(np.asarray(info.position)).all()
+
+
+def test_a_robot_that_leaves_a_grids_volume_is_told():
+    """A cart drives 8 m out of the volume: what it sees there finds no room, and it goes on by its odometry alone."""
+    volume = grid(np.array([-2.0, -2.5, -1.6]), np.array([3.5, 2.2, 1.9]), 0.25)
+    system = tiny(layout=volume, capacity=volume.slots)
+    draw = partial(system.simulate, system.default_params, steps=8)
+    measurements, _ = jax.jit(draw, compiler_options=QUICK)(key=jax.random.key(0))
+    away = np.array(measurements.travel.value)
+    away[5] += [8.0, 0, 0]
+    given = measurements._replace(travel=Reading(away, measurements.travel.valid))
+    state, info = jax.jit(partial(run, system.step), compiler_options=QUICK)(
+        system.default_params, system.init(system.default_params), given
+    )
+    assert np.all(np.asarray(info.status)[:5] == OK)
+    assert np.all(np.asarray(info.status)[5:] == slam.FULL)
+    assert np.all(np.asarray(info.link_status)[5:] == slam.FOLLOWS)
+    assert int(info.voxels[-1]) == int(info.voxels[4])
+    lost = np.diff(np.asarray(info.overflow)[4:])
+    np.testing.assert_array_equal(lost, np.asarray(info.seen)[5:].sum(1))
+    spread = np.trace(np.asarray(info.pose_covariance)[:, 0, 3:, 3:], axis1=1, axis2=2)
+    assert np.all(np.diff(spread[4:]) > 0)
+    np.testing.assert_allclose(np.linalg.norm(info.position[5, 0] - info.position[4, 0]), 8, atol=0.1)
+    assert np.isfinite(np.asarray(state.covariance)).all()
 
 
 def test_a_robot_that_was_carried_away_is_flagged(fixed, driven, scene):
@@ -300,6 +325,36 @@ def test_rows_are_the_derivatives_of_their_residuals(x64):
     np.testing.assert_allclose(np.abs(at.lever[:, 3:]), np.tile([1.0, 0, 0], (6, 1)), atol=1e-7)
     moves = np.einsum("nij,j->ni", np.asarray(point_slope(pose, x)), np.ones(4) * 1e-6)
     np.testing.assert_allclose(world(moved(pose, jnp.ones(4) * 1e-6), points.local) - x, moves, atol=1e-10)
+
+
+def test_a_lever_does_not_grow_with_the_error_of_its_range(x64):
+    """Else residual and lever share the error, and their product turns a link: by 45 degrees of ray, 3 cm and 1 m away.
+
+    Of a plane that is known and readings with nothing else wrong, all of the error is found and taken off.
+    """
+    random = np.random.default_rng(3)
+    layout, chart = _wall(random)
+    chart = chart._replace(total=1e6 * chart.total)
+    ray, n = np.array([1.0, 0.8, 0.6]) / 2**0.5, 500
+    error = 0.03 * random.normal(size=n)
+    reach = 2**0.5 + error
+    local = reach[:, None] * ray - [0, 0.4, 0.3]
+    points = Points(*(jnp.asarray(x) for x in (local, np.tile(ray, (n, 1)), reach, np.ones(n, bool))))
+    nothing = jnp.zeros((3, 4))
+    pose = Pose(jnp.zeros(3), jnp.eye(3), nothing, nothing)
+    exact = slam.Params(noise=0.03 / 2**0.5, uneven=0.0, lasting=0.0, share=0.0)
+    rows, naive = (
+        match(layout, chart, params, pose, points, jnp.zeros(3), jnp.eye(4))
+        for params in (exact, exact._replace(uneven=10.0))
+    )
+    assert np.asarray(rows.matched).all()
+    signed = np.asarray(rows.lever) * np.sign(np.asarray(rows.lever)[:, 3:4])
+    hit = np.array([1.0, 0.4, 0.3])
+    np.testing.assert_allclose(signed[:, :3], np.tile(np.cross(hit, [1.0, 0, 0]), (n, 1)), atol=1e-6)
+    # If planes were so uneven that a residual says nothing of its range,
+    # the lever is that of the reading, and pulls: four standard errors from 0 at least.
+    pull = np.asarray(naive.lever)[:, 1] * np.asarray(naive.residual) - 0.3 * error / 2**0.5
+    assert abs(pull.mean()) > 4 * pull.std() / n**0.5
 
 
 def _wall(random):
