@@ -83,7 +83,7 @@ def repeats(params: Any, links: bodies.Links, before: bodies.Links, index: Array
     """
     turned = jnp.sum((links.rotation - before.rotation) ** 2, axis=(1, 2)) / 2
     moved = jnp.sum((links.position - before.position) ** 2, axis=1)
-    # A link at rest, as a fixed root is, has gone no way: the root of 0 has no derivative, and NaN would be that of all.
+    # A link at rest, as a fixed root is, has gone no way: the root of 0 has no derivative, and all would be NaN.
     gone, swept = (jnp.sqrt(jnp.maximum(x, REST**2)) for x in (moved, turned))
     gone = gone + REACH * swept
     return jnp.where(index == 0, 1, 1 + 2 * params.renewal / (gone + params.renewal / STILL))

@@ -1,6 +1,7 @@
 """`jaxest estimate --method slam`: a simulated structure's log, and configs that cannot be."""
 
 import json
+import tomllib
 
 import numpy as np
 import pytest
@@ -26,6 +27,20 @@ rows = 4
 columns = 2
 """
 
+ALIGNED = """
+[slam]
+points = 72
+capacity = 900
+align = true
+tilt = 0.02
+
+[slam.rings.body]
+frames = ["root", "link1"]
+along = 0.085
+rows = 3
+columns = 3
+"""
+
 
 @pytest.fixture(scope="module")
 def log():
@@ -38,6 +53,23 @@ def log():
     return SensorLog({
         "joints": Stream(time, q + 0.05, "rad", names=("joint1", "joint2")),
         "ranges": Stream(time, ranges, "m"),
+    })  # fmt: skip
+
+
+def small(free=False):
+    """What one link and its root, at rest, read with 3 x 3 zones a sensor over 0.6 s."""
+    scene = rooms.scene(1, rooms.room(4, reach=1.0), free=free)
+    time = 0.1 * np.arange(1, 7)
+    q = np.zeros((6, 8 if free else 1))
+    if free:
+        q[:, 3] = 1
+    q[:, -1] = 0.2
+    sensors = [s for frame in ("root", "link1") for s in ring(frame, 0.085, rows=3, columns=3)]
+    scan = proximity.cast(scene, sensors, q, time)
+    value, there = proximity.corrupt(scan, sensors, proximity.Faults(), 0)
+    return SensorLog({
+        "joints": Stream(time, q[:, -1:] + 0.05, "rad", names=("joint1",)),
+        "ranges": Stream(time, np.where(there, value, np.nan).astype(float), "m"),
     })  # fmt: skip
 
 
@@ -65,6 +97,57 @@ def test_a_log_becomes_poses_biases_and_a_map(log, tmp_path, capsys, monkeypatch
     assert metrics["steps flagged as lost", ""] == 0
     assert metrics["map", "voxels"] > 100
     assert len(read_cloud(tmp_path / "out" / "slam_map.ply").point) == metrics["map", "voxels"]
+
+
+def test_turns_of_sensors_are_reported_and_the_map_written_without_a_picture(tmp_path, capsys, monkeypatch):
+    """`align = true`; matplotlib is away. The second run finds the map alone, and keeps it."""
+    from jaxest.cli import main
+
+    find = __import__("importlib.util").util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "matplotlib" else find(name))
+    write(small(), tmp_path / "log.npz")
+    (tmp_path / "robot.xml").write_text(rooms.structure(1))
+    (tmp_path / "c.toml").write_text(ALIGNED)
+    arguments = ["estimate", "log.npz", "--method", "slam", "--robot", "robot.xml", "--config", "c.toml", "-o", "out"]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["jaxest", *arguments, "--json"])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code in (0, None)
+    rows = {(row["metric"], row["condition"]): row["value"] for row in json.loads(capsys.readouterr().out)["rows"]}
+    assert 0 < rows["turn of a sensor", "mean"] <= rows["turn of a sensor", "largest"] < 3 * np.rad2deg(0.02)
+    out = tmp_path / "out"
+    assert {path.name for path in out.iterdir()} == {"estimate.npz", "report.json", "slam_map.ply"}
+    assert len(read_cloud(out / "slam_map.ply").point) == rows["map", "voxels"]
+    for name in ("estimate.npz", "report.json"):
+        (out / name).unlink()
+    before = (out / "slam_map.ply").read_bytes()
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert left.value.code == 2
+    assert "slam_map.ply exists already and is kept" in capsys.readouterr().err
+    assert (out / "slam_map.ply").read_bytes() == before
+
+
+@pytest.mark.slow  # a program of its own
+def test_an_imu_drives_a_free_root(tmp_path):
+    """At rest, where it stays within 3 cm; the streams have the names that the config gives them."""
+    given, robot = small(free=True), tmp_path / "robot.xml"
+    robot.write_text(rooms.structure(1, free=True))
+    time = 0.01 * np.arange(61)
+    random = np.random.default_rng(3)
+    still = {"spin": np.zeros(3), "force": np.array([0, 0, 9.81])}
+    imu = {k: Stream(time, v + 1e-3 * random.normal(size=(61, 3)), u)
+           for (k, v), u in zip(still.items(), ("rad/s", "m/s^2"), strict=True)}  # fmt: skip
+    settings = {**tomllib.loads(ALIGNED)["slam"], "align": False, "imu": "root", "gyroscope_stream": "spin",
+                "accelerometer_stream": "force"}  # fmt: skip
+    outcome = slam.estimate(SensorLog({**given.streams, **imu}), Request(settings, robot=robot))
+    assert not outcome.refused
+    assert "the root is free, driven by an IMU" in outcome.notes[0]
+    place = outcome.estimate.streams["root/position"].value
+    assert np.abs(place - place[0]).max() < 0.03
+    with pytest.raises(InputError, match="stream 'spin'"):
+        slam.estimate(given, Request(settings, robot=robot))
 
 
 @pytest.mark.parametrize(

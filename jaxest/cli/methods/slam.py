@@ -122,9 +122,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     stands = ("free" + (", driven by an IMU" if imu else "")) if free else "fixed"
     notes = [f"{len(placed)} sensors, {rays(placed)} zones; the root is {stands}"]
     cloud = Cloud(chart, np.asarray(state.chart.total)[: len(chart), 3].astype(float))
-    return Outcome(
-        SensorLog(streams, log.source), rows, notes, _refused(info), draw, {MAP: clouds.encoded(cloud, MAP)}
-    )
+    return Outcome(SensorLog(streams, log.source), rows, notes, _refused(info), draw, {MAP: clouds.encoded(cloud, MAP)})
 
 
 def _told(settings: Mapping[str, Any]) -> dict[str, float]:
