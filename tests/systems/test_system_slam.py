@@ -307,8 +307,9 @@ def test_rows_are_the_derivatives_of_their_residuals(x64):
     ray = local / np.linalg.norm(local, axis=1, keepdims=True)
     points = Points(*(jnp.asarray(x) for x in (local, ray, np.ones(6), np.ones(6, bool))))
 
+    @partial(jax.jit, compiler_options=QUICK)
     def rows(v):
-        return match(layout, chart, slam.Params(), moved(pose, v), points, jnp.asarray(v[1:]), jnp.eye(4))
+        return match(layout, chart, slam.Params(), moved(pose, v), points, v[1:], jnp.eye(4))
 
     at = rows(jnp.zeros(4))
     assert np.asarray(at.matched).all()
@@ -343,10 +344,10 @@ def test_a_lever_does_not_grow_with_the_error_of_its_range(x64):
     nothing = jnp.zeros((3, 4))
     pose = Pose(jnp.zeros(3), jnp.eye(3), nothing, nothing)
     exact = slam.Params(noise=0.03 / 2**0.5, uneven=0.0, lasting=0.0, share=0.0)
-    rows, naive = (
-        match(layout, chart, params, pose, points, jnp.zeros(3), jnp.eye(4))
-        for params in (exact, exact._replace(uneven=10.0))
+    found = jax.jit(
+        lambda params: match(layout, chart, params, pose, points, jnp.zeros(3), jnp.eye(4)), compiler_options=QUICK
     )
+    rows, naive = found(exact), found(exact._replace(uneven=10.0))
     assert np.asarray(rows.matched).all()
     signed = np.asarray(rows.lever) * np.sign(np.asarray(rows.lever)[:, 3:4])
     hit = np.array([1.0, 0.4, 0.3])
