@@ -82,7 +82,9 @@ def command(body: Callable[..., Answer]) -> Callable[..., None]:
             if answer.json:
                 sys.stdout.write(answer.json + "\n")
             sys.stdout.flush()
-        except (BrokenPipeError, SystemExit):  # the reader has seen enough, as `head` does; rich leaves by SystemExit
+        except (BrokenPipeError, SystemExit) as left:  # the reader has seen enough, as `head` does
+            if isinstance(left, SystemExit) and not isinstance(left.__context__, BrokenPipeError):
+                raise  # rich makes a SystemExit of a broken pipe; any other is the command's own
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             raise typer.Exit(DONE) from None
         except Exception as error:
