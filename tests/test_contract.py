@@ -87,7 +87,8 @@ ROWS = [
     ),
 ]
 DIFFERENTIABLE = [row for row in ROWS if row.differentiable]
-EAGERLY_SLOW = ("posture", "onsite_chain", "slam", "deflection_guided", "deflection_joints")
+EAGERLY_SLOW = ("posture", "onsite_chain", "slam", "deflection_guided", "deflection_joints", "kalman_iterated",
+                "particle_guided", "bingham_linear_general")  # fmt: skip
 STEPS = 12
 BATCH = 8
 # Compiles five times faster; what is compared with the live step is therefore also compiled differently.
@@ -127,7 +128,10 @@ class Case(NamedTuple):
 
 
 def marked(row):
-    """A row whose step is hundreds of small programs without `jit`: half a minute to compile them."""
+    """A row whose step is hundreds of small programs without `jit`, which take long to compile.
+
+    The last three have a sister whose step is the same code but for one function.
+    """
     return pytest.param(row, marks=[pytest.mark.slow] if row.name in EAGERLY_SLOW else [], id=row.name)
 
 
