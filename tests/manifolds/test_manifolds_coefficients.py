@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick_compile import FULL
 from reference import ref_manifolds as reference
 
 from jaxest.manifolds import _coefficients as coefficients
@@ -32,7 +33,7 @@ def orders(s):
 def test_value_and_two_derivatives_to_a_few_eps(dtype):
     s = (np.concatenate([WITHIN, BEYOND, [0]]) ** 2).astype(dtype)
     exact = np.array([[reference.coefficient(name, float(x)) for name in NAMES] for x in s[:-1]])
-    got = jax.jit(jax.vmap(orders))(s)
+    got = jax.jit(jax.vmap(orders), compiler_options=FULL)(s)
     assert got.dtype == dtype
     assert np.isfinite(got).all()
     got, at_zero = got[:-1], np.asarray(got[-1], np.float64)
@@ -56,5 +57,5 @@ def test_arctan_ratio(dtype):
     y = np.concatenate([np.geomspace(1e-9, np.tan(np.pi / 16), 60)])
     r = (y**2).astype(dtype)
     root = np.sqrt(r.astype(np.longdouble))
-    got = np.asarray(jax.jit(jax.vmap(coefficients.arctan_ratio))(r))
+    got = np.asarray(jax.jit(jax.vmap(coefficients.arctan_ratio), compiler_options=FULL)(r))
     assert np.abs(got - np.arctan(root) / root).max() < 1 * np.finfo(dtype).eps
