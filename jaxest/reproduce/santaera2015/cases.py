@@ -115,6 +115,9 @@ def _palm(seed: int, count: int) -> kept.Arrays:
 
 def _paint(figure: Any, shown: dict[str, Any]) -> None:
     axes = figure.subplots(2, len(shown), height_ratios=(2, 1))
+    for axis in axes[0, 1:]:
+        axis.sharex(axes[0, 0])  # one scale for all grippers
+        axis.sharey(axes[0, 0])
     for column, (name, made) in enumerate(shown.items()):
         q, true = made["q"], np.array(made["end"])
         estimated = np.array(q[-1])
@@ -122,17 +125,20 @@ def _paint(figure: Any, shown: dict[str, Any]) -> None:
         top = axes[0, column]
         draw_gripper(top, true, canvas.RED)
         draw_gripper(top, estimated, canvas.BLUE)
-        canvas.plain(top, title=name, xlabel="across [mm]")
+        canvas.plain(top, xlabel="across [mm]")
+        top.set_title(name, fontsize=10)
         top.set_aspect("equal")
         time = made["time"][: len(q)]
         found, truth = (np.rad2deg(hand.finger_angles(x)) for x in (q, made["truth"][: len(q)]))
         bottom = axes[1, column]
         for joint in range(3):
-            bottom.plot(time, truth[:, joint], color=canvas.RED, linewidth=2)
-            bottom.plot(time, found[:, joint], color=canvas.BLUE, linewidth=0.9)
+            named = joint == 0 and column == 0  # a legend has each once
+            bottom.plot(time, truth[:, joint], color=canvas.RED, linewidth=2, label="truth" if named else None)
+            bottom.plot(time, found[:, joint], color=canvas.BLUE, linewidth=0.9, label="estimate" if named else None)
         canvas.plain(bottom, xlabel="time [s]")
     axes[0, 0].set_ylabel("above the palm [mm]")
     axes[1, 0].set_ylabel("q1, q2, q3 left [deg]")
+    axes[1, 0].legend(fontsize=8, frameon=False)
 
 
 __all__ = ["angle_errors", "cases", "redundancy"]

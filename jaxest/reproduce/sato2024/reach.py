@@ -242,13 +242,12 @@ def _paint(figure: Any, done: list[Reach]) -> None:
     axes = figure.subplots(4, len(done), squeeze=False, sharex="col")
     for column, one in enumerate(done):
         for link in range(2):
-            axis = canvas.plain(
-                axes[link, column], ylabel=f"joint{link + 1} to joint{link + 2} [mm]" if column == 0 else ""
-            )
+            axis = canvas.plain(axes[link, column], ylabel=f"link {link + 1} [mm]" if column == 0 else "")
             for k, colour in enumerate((canvas.RED, canvas.GREEN, canvas.BLUE)):
                 axis.plot(one.time, 1e3 * one.poses[:, link, k], color=colour, linewidth=1.1, label="xyz"[k])
                 axis.axhline(1e3 * one.truth[link, k], color=colour, linestyle="--", linewidth=0.8)
             axis.set_ylim(-350, 350)
+            axis.plot([], [], color=canvas.GREY, linestyle="--", linewidth=0.8, label="true")
         for row, (part, scale, limit, label) in enumerate(
             ((1, 1e3, 5, "position, 95 % [mm]"), (0, np.rad2deg(1), 0.1, "rotation, 95 % [deg]"))
         ):
@@ -256,15 +255,17 @@ def _paint(figure: Any, done: list[Reach]) -> None:
             for link, colour in enumerate((canvas.BLUE, canvas.ORANGE)):
                 value = np.where(one.spread[:, link, part] > 0, scale * one.spread[:, link, part], np.nan)
                 axis.semilogy(one.time, value, color=colour, linewidth=1.1, label=f"link {link + 1}")
-            axis.axhline(limit, color=canvas.GREY, linestyle="--", linewidth=0.9)
+            axis.axhline(limit, color=canvas.GREY, linestyle="--", linewidth=0.9, label=f"done below {limit:g}")
         for axis in axes[:, column]:
             axis.axvline(one.excitation, color=canvas.RED, linewidth=0.9)
+        done_after = f"done after {one.excitation:.1f} s" if np.isfinite(one.excitation) else "not done"
         axes[0, column].set_title(
-            f"assembly {column + 1}: done after {one.excitation:.1f} s, gripper {one.distance:.1f} mm off", fontsize=10
+            f"assembly {column + 1}: {done_after}, gripper {one.distance:.1f} mm off", fontsize=10
         )
         axes[3, column].set_xlabel("time since the swinging began [s]")
-    axes[0, 0].legend(fontsize=8, frameon=False, ncols=3)
-    axes[2, 0].legend(fontsize=8, frameon=False)
+    axes[0, 0].legend(fontsize=8, frameon=False, ncols=4)
+    for row in (2, 3):
+        axes[row, 0].legend(fontsize=8, frameon=False, ncols=3)
 
 
 __all__ = ["Reach", "fig8", "measured", "once"]
