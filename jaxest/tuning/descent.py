@@ -29,25 +29,31 @@ class Method(NamedTuple):
     tolerance: float = 1e-4
     """Step, of logarithms a relative change, below which a start has converged; only with backtracking."""
     decrease: float = 1e-7
-    """Share of the objective, such that a start has converged where its next step promises no larger decrease and its
-    gradient is below `FLAT`; only with backtracking."""
+    """Share of the objective, such that a start has converged where its next step promises no larger decrease, and
+    the scale of that step is to be believed; `GRAIN` roundings where that is more. Only with backtracking."""
 
 
-FLAT = 1e-5
-"""Gradient, as a share of the objective per unit, above which a small promise is a badly scaled step."""
+GRAIN = 8
+"""Roundings of the objective, eps times its value, that a decrease must exceed to be seen in it."""
+PROBE = 8
+"""Times the largest decrease that is not seen, or the step that counts as none: how much a step promises, or how long
+it is at least, that is to tell whether a descent goes on."""
 
 
 def lbfgs(memory: int = 10, *, longest: float = 1.0, tolerance: float = 1e-4, decrease: float = 1e-7) -> Method:
     """Return L-BFGS with backtracking, for objectives without noise.
 
-    Where the objective is not convex along the last step, or its direction promises nothing though there is a slope
-    (plateaus, which a logarithm has where its parameter no longer matters), the next is the longest one downhill.
+    Where the objective is not convex along the last step, the next is the longest one downhill. Where a step promises
+    nothing that rounding would show, or is shorter than `tolerance`, that may be the bottom or a plateau (which a
+    logarithm has where its parameter no longer matters): a step that must show on a plateau is tried, and the descent
+    has converged if it is refused.
 
     Args:
         memory: pairs of steps and gradient differences that are kept.
         longest: longest step.
         tolerance: step below which a start has converged.
-        decrease: promised decrease below which it has, as a share of the objective.
+        decrease: promised decrease below which it has, as a share of the objective; never less than its rounding
+            shows.
 
     Returns:
         The method.
@@ -180,16 +186,33 @@ def _quasi_newton(method: Method, state: State, value: Array, gradient: Array) -
     memory = jax.tree.map(lambda a, b: jnp.where(convex | first, a, b), state.memory, idle)
     update, memory = method.transform.update(gradient, memory, state.trial)
     direction = _limited(method, -update)
-    promised, slope = -jnp.sum(direction * gradient), _length(gradient)
-    little = method.decrease * jnp.abs(value)
-    flat = slope < FLAT * jnp.abs(value)
-    trusted = convex & (promised > 0) & ((promised > little) | flat)
-    direction = jnp.where(trusted, direction, -gradient * method.longest / jnp.where(slope > 0, slope, 1))
-    # A step that rounding alone let pass, and no curvature to be seen: as low as this precision can tell.
-    stuck = jnp.abs(value - state.value) <= 8 * jnp.finfo(value.dtype).eps * jnp.abs(value)
-    done = jnp.where(trusted, (promised <= little) | (_length(direction) < method.tolerance), flat | stuck)
-    settled = (slope == 0) | (done & ~first) | (first & flat)
-    return direction, memory, settled
+    promised, slope = -jnp.sum(direction * gradient) / 2, _length(gradient)
+    little, short = _unseen(method, value), _length(direction) < method.tolerance
+    flat, small = slope * method.longest / 2 <= little, promised <= little
+    stuck = jnp.abs(value - state.value) <= little
+    # A little step clears the steep directions of slope first, so that the next gradient is that of the others.
+    trusted = convex & (promised > 0) & ~((small | short) & stuck)
+    # The bottom, or a plateau on which the memory's steps are too short? So long a step tells: what it promises shows
+    # on a plateau, and from the bottom it leads uphill.
+    unclear = ~first & ((convex & (small | short)) | stuck)
+    # The memory still knows which directions are steep; its length is what is not believed.
+    way = jnp.where(promised > 0, direction, -gradient)
+    way = way / jnp.where(slope > 0, _length(way), 1)
+    fall = -jnp.sum(way * gradient)
+    probe = PROBE * jnp.maximum(little / jnp.where(fall > 0, fall, 1), method.tolerance)
+    reach = jnp.where(unclear, jnp.minimum(method.longest, probe), method.longest)
+    direction = jnp.where(trusted, direction, way * reach)
+    return direction, memory, flat
+
+
+def _grain(value: Array) -> Array:
+    """What rounding may add to an objective."""
+    return GRAIN * jnp.finfo(value.dtype).eps * jnp.abs(value)
+
+
+def _unseen(method: Method, value: Array) -> Array:
+    """Largest decrease that ends a descent."""
+    return jnp.maximum(method.decrease * jnp.abs(value), _grain(value))
 
 
 def _length(vector: Array) -> Array:
@@ -204,7 +227,10 @@ def _limited(method: Method, direction: Array) -> Array:
 def _shortened(method: Method, state: State) -> State:
     """The state once the trial is refused: a shorter step, from the same point."""
     share = state.share / 4
-    settled = _length(state.direction) * share < method.tolerance
+    length = _length(state.direction) * share
+    # No direction brings more within that length, were the slope to end at its far end.
+    unseen = length * _length(state.gradient) / 2 <= _unseen(method, state.value)
+    settled = (length < method.tolerance) | unseen
     return state._replace(
         trial=state.point + share * state.direction,
         share=share,

@@ -1,18 +1,23 @@
 """Starts far apart, brought near their optima on a part of long recordings, so that few are left for the whole."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxest.tuning.descent import Method
+from jaxest.tuning.descent import GRAIN, Method
+from jaxest.tuning.objectives import total
 from jaxest.tuning.optimise import Problem, Result, minimise
 from jaxest.tuning.recordings import Recording, Windows, sample_windows
 from jaxest.types import Array
 
 APART = 0.05
 """Distance of two points, of logarithms 5 %, below which they are one optimum."""
+BETWEEN = 0.25, 0.5, 0.75
+"""Shares of the way from one point to another at which the objective is asked whether it rises between them."""
 
 
 def warm_start(
@@ -27,7 +32,7 @@ def warm_start(
     progress: Callable[[str], None] = lambda message: None,
     **options: Any,
 ) -> tuple[Array, Result]:
-    """Search from every start on windows, drawn once, and keep one point of each optimum.
+    """Search from every start on windows, drawn once, and keep that point of each optimum which is lowest on the whole.
 
     Args:
         problem: what is tuned, on whole recordings.
@@ -41,18 +46,47 @@ def warm_start(
         options: others of `minimise`.
 
     Returns:
-        (optima, n) starts for the whole, the lowest first, and the search on windows. A start that found nothing
-        finite is left out.
+        (optima, n) starts for the whole, the lowest first, and the search on windows. Points are of one optimum where
+        they are close, or where the objective rises nowhere on the way between them: on a plateau, as a parameter has
+        that hardly matters in windows, they may end far apart. A start that found nothing finite is left out.
     """
     part = sample_windows(batch, windows, key)
+    draw = key if problem.objective.random else None
     found = minimise(problem, part, method=method, starts=starts, evaluations=evaluations, progress=progress,
-                     key=key if problem.objective.random else None, **options)  # fmt: skip
+                     key=draw, **options)  # fmt: skip
     points = np.asarray(found.points)
-    kept: list[int] = []
+
+    def rises(i: int, j: int) -> bool:
+        """Whether the objective is higher between two points than at the higher one, by more than it is rounded."""
+        way = np.asarray(BETWEEN, points.dtype)[:, None]
+        higher = max(found.values[i], found.values[j])
+        between = np.asarray(_values(problem, (1 - way) * points[i] + way * points[j], part, draw))
+        return not (between <= higher + GRAIN * np.finfo(points.dtype).eps * abs(higher)).all()
+
+    optima: list[list[int]] = []
     for i in np.argsort(np.where(np.isfinite(found.values), found.values, np.inf)):
-        if np.isfinite(found.values[i]) and all(np.linalg.norm(points[i] - points[j]) > APART for j in kept):
-            kept.append(i)
-    return jnp.asarray(points[kept]), found
+        if not np.isfinite(found.values[i]):
+            continue
+        for one in optima:
+            if np.linalg.norm(points[i] - points[one[0]]) <= APART or not rises(i, one[0]):
+                one.append(int(i))
+                break
+        else:
+            optima.append([int(i)])
+    return jnp.asarray(points[_lowest(problem, optima, found.points, batch, draw)]), found
+
+
+def _lowest(problem: Problem, optima: list[list[int]], points: Array, batch: Recording, key: Array | None) -> list[int]:
+    """Which of the points of each optimum is lowest on the whole, the lowest optimum first."""
+    values = np.asarray(_values(problem, points, batch, key))
+    values = np.where(np.isfinite(values), values, np.inf)
+    return sorted((min(one, key=lambda i: values[i]) for one in optima), key=lambda i: values[i])
+
+
+@partial(jax.jit, static_argnums=0)
+def _values(problem: Problem, points: Array, part: Recording, key: Array | None) -> Array:
+    """The objective at points (K, n)."""
+    return jax.vmap(lambda z: total(problem.objective, problem.space.unpack(z), part, key))(points)
 
 
 __all__ = ["warm_start"]

@@ -48,6 +48,51 @@ def test_lbfgs_finds_the_minimum_from_far(function, lowest, at):
     np.testing.assert_allclose(state.point, np.broadcast_to(at, (8, 2)), atol=0.02)
 
 
+def bowl(z):
+    """A root mean square's size and bend, as BROAD's is: float32 shows nothing of the last steps of a descent."""
+    x, y = z[0] - 1, z[1] + 0.5
+    return 0.0375 + 0.004 * (x**2 + 0.3 * x * y + 0.5 * y**2 + 0.3 * jnp.sin(z[0]) ** 4)
+
+
+def shelf(z):
+    """A steep wall down to a shelf, which falls slowly to a bottom far off: what the wall taught is too short there."""
+    return 3 + 0.2 * jnp.logaddexp(0.0, 8 * z[0]) + 0.004 * jnp.sqrt(1 + (z[0] + 12) ** 2) + 0.05 * z[1] ** 2
+
+
+def grained(function):
+    """Add the rounding that a long recursion leaves, three eps, rough in where it is asked."""
+
+    def rough(z):
+        value = function(z)
+        noise = 3 * jnp.finfo(z.dtype).eps * value * jnp.sin(1e5 * jnp.sum(z))
+        return value + jax.lax.stop_gradient(noise)
+
+    return rough
+
+
+@pytest.mark.parametrize(
+    ("function", "spare"), [(bowl, 5), (grained(bowl), 5), (plateau, 5), (grained(shelf), 8)],
+    ids=["bowl", "rough bowl", "plateau", "rough shelf"],
+)  # fmt: skip
+def test_a_descent_ends_where_rounding_hides_the_rest_and_not_before(function, spare, dtype):
+    """From 100 starts: all at the bottom, of plateaus as well, and done a few evaluations after they are there."""
+    method = descent.lbfgs()
+    starts = jax.random.normal(jax.random.key(7), (100, 2)) * jnp.array([[2.0, 2.5]])
+    starts = jnp.clip(starts, -6, 6).astype(dtype)  # further off float32 shows no slope of the plateau
+    state = jax.vmap(lambda z: descent.init(method, z))(starts)
+    step = jax.jit(jax.vmap(lambda s: descent.step(method, jax.value_and_grad(function), s)))
+    values, done = [], []
+    for _ in range(60):
+        state, _ = step(state)
+        values.append(np.asarray(state.value))
+        done.append(np.asarray(state.converged))
+    assert done[-1].all()
+    lowest = values[-1].min()
+    np.testing.assert_allclose(values[-1], lowest, rtol=4e-6)
+    there = np.argmax(np.array(values) <= lowest * (1 + 4e-6), axis=0)
+    assert (np.argmax(done, axis=0) - there).max() <= spare
+
+
 def test_values_that_are_not_finite_are_never_taken():
     method = descent.lbfgs(longest=4.0)
 
@@ -86,8 +131,26 @@ def test_starts_come_together_on_windows():
     optima, rough = tuning.warm_start(PROBLEM, BATCH, starts, windows=windows, key=jax.random.key(5), evaluations=40)
     assert optima.shape == (1, 2)
     np.testing.assert_allclose(rough.points, np.broadcast_to(optima, (4, 2)), atol=tuning.warm.APART)
-    apart = tuning.warm_start(PROBLEM, BATCH, starts, windows=windows, key=jax.random.key(5), evaluations=1)[0]
-    assert apart.shape == (4, 2)  # where the search was stopped before they came together
+    apart, rough = tuning.warm_start(PROBLEM, BATCH, starts, windows=windows, key=jax.random.key(5), evaluations=1)
+    assert np.ptp(np.asarray(rough.points), axis=0).min() > 1  # stopped before they came together, in one valley
+    assert apart.shape == (1, 2)
+
+
+def test_optima_are_two_where_the_objective_rises_between():
+    """And a plateau, which windows cannot tell from the bottom, is one with it: the whole says where to go on."""
+
+    def hills(params, measurements):
+        z = jnp.log(params.walk)
+        weight = 0.01 if measurements.dt.shape[0] == 100 else 0.0  # windows see nothing of it
+        return -1 - (z**2 - 1) ** 2 - weight * jnp.log(params.seen) ** 2
+
+    problem = tuning.Problem(tuning.density(hills), SPACE)
+    batch = tuning.padded([drawn(1, steps=100)])
+    starts = jnp.array([[1.5, 3.0], [0.7, 0.1], [-1.5, 0.0]])
+    windows = tuning.Windows(1, 50, 0)
+    optima, _ = tuning.warm_start(problem, batch, starts, windows=windows, key=jax.random.key(0))
+    found = sorted(optima.tolist())
+    np.testing.assert_allclose(found, [[-1.0, 0.0], [1.0, 0.1]], atol=2e-3)
 
 
 @pytest.mark.slow
