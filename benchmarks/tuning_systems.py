@@ -19,13 +19,15 @@ from jaxest.systems import onsite as pairs
 from jaxest.systems import onsite_batch, onsite_drift, slam_chain, torque_evidence, torque_model, torque_settings
 from jaxest.systems import slam as whole
 from jaxest.systems._slam_body import body
-from jaxest.systems._slam_simulation import simulate
+from jaxest.systems._slam_simulation import ROOM, simulate
 
 CHAIN = """<mujoco><worldbody><body name="root"><geom size=".03"/><body name="a" pos=".4 0 0"><joint name="ja"
 axis="0 0 1"/><geom size=".03"/><body name="b" pos=".4 0 0"><joint name="jb" axis="0 1 0"/><geom size=".03"/></body>
 </body></body></worldbody></mujoco>"""
 NOISES = 0.01, 0.02, 0.04  # shares of a range
 STEPS, SETTLED = 25, 5
+ENCODER = 0.005
+VARIANCES = np.linspace(np.log(2e-5), np.log(2e-2), 13)
 AWAY = np.linspace(-2.5, 2.5, 21)  # logarithms, about the last best
 
 
@@ -119,44 +121,92 @@ def _error(values: np.ndarray) -> float:
 
 
 def slam(logs: int, seed: int) -> list[Row]:
-    """R and Q of the paper's filter, from profiles of its likelihood.
+    """R and Q of the paper's filter.
 
-    Which points count, and beside which plane, changes with the noise: the likelihood has jumps, its slope means
-    nothing. Each parameter is taken over a grid; a parabola through the mean profile gives value and standard error.
+    Which points count, and beside which plane, changes with the noise: the likelihood jumps, and its maximum says
+    nothing. Its slope with the correspondences that a run finds held fixed (what differentiation gives: a match has no
+    slope) does not jump: R is where the slope vanishes. The others' profiles are taken at that R; a parabola through
+    the mean profile gives value and standard error.
     """
     robot = kinematics.load(CHAIN)
     sensors = [s for frame in ("root", "a", "b") for s in ring(frame, 0.1, rows=3, columns=3)]
     system = slam_chain.build(robot, sensors, points=72, capacity=1500)
 
-    def score(params: Any, measurements: Any) -> Any:
+    def score(params: Any, measurements: Any) -> tuple[Any, Any]:
         _, (density, count) = run(
             system.step, params, system.init(params), measurements,
             history=lambda _, info: (jnp.sum(info.log_likelihood), jnp.sum(info.inliers)),
         )  # fmt: skip
-        return -jnp.sum(density[SETTLED:]) / jnp.sum(count[SETTLED:])
+        return -jnp.sum(density[SETTLED:]), jnp.sum(count[SETTLED:]).astype(density.dtype)
 
-    scores = jax.jit(lambda params, many: jax.lax.map(lambda one: score(params, one), many))
-    rows = []
+    def slope(params: Any, log: Any, one: Any) -> Any:
+        at = lambda log: score(params._replace(variance=jnp.exp(log)), one)  # noqa: E731
+        (_, count), (rise, _) = jax.jvp(at, (log,), (jnp.ones_like(log),))
+        return rise / count
+
+    each = jax.jit(lambda params, many: jax.lax.map(lambda one: jnp.divide(*score(params, one)), many))
+    slopes = jax.jit(lambda params, log, many: jax.lax.map(partial(slope, params, log), many))
+    shape, rows = body(robot, sensors), []
     for noise in NOISES:
-        given = jax.tree.map(jnp.float32, whole.Params(noise=noise, encoder=0.005))
-        draw = jax.jit(partial(simulate, body(robot, sensors), whole.Fixed, given, steps=STEPS))
-        many = jax.lax.map(lambda key, draw=draw: draw(key=key)[0], jax.random.split(jax.random.key(seed), logs))
-        params = jax.tree.map(jnp.float32, system.default_params)
-        for name, drawn in (("variance", None), ("encoder", 0.005), ("bias_walk", 0.0)):
+        many, spread = _scanned(shape, noise, logs, seed)
+        params = jax.tree.map(jnp.float32, system.default_params)._replace(encoder=jnp.float32(ENCODER))
+        say(f"slam, noise {noise}: variance")
+        table = np.array([np.asarray(slopes(params, jnp.float32(log), many)) for log in VARIANCES])
+        at, sd = crossing(VARIANCES, table)
+        params = params._replace(variance=jnp.float32(np.exp(at)))
+        label = f"readings off by {100 * noise:g} %"
+        rows.append(Row("variance", label, float(np.exp(at)), "m2", float(sd * np.exp(at)), logs, spread,
+                        "mean square distance of points to the true planes"))  # fmt: skip
+        for name, drawn in (("encoder", ENCODER), ("bias_walk", 0.0)):
             say(f"slam, noise {noise}: {name}")
             middle = getattr(params, name)
             table = np.array([
-                np.asarray(scores(params._replace(**{name: middle * np.float32(np.exp(d))}), many)) for d in AWAY
+                np.asarray(each(params._replace(**{name: middle * np.float32(np.exp(d))}), many)) for d in AWAY
             ])  # fmt: skip
             at, sd = minimum(table)
             sure = sd < tuning.report.LOOSE and abs(at) < AWAY[-1]
             value = float(middle * np.exp(at)) if sure else float(middle)
-            params = params._replace(**{name: jnp.float32(value)})
             told = "" if sure else ", unidentified"
-            of = "drawn with" if drawn is not None else None
             label = f"readings off by {100 * noise:g} %{told}"
-            rows.append(Row(name, label, value, "1", sd * value if sure else None, logs, drawn, of))
+            rows.append(Row(name, label, value, "1", sd * value if sure else None, logs, drawn, "drawn with"))
     return rows
+
+
+def _scanned(shape: Any, noise: float, logs: int, seed: int) -> tuple[Any, float]:
+    """Logs, and the mean square distance (m2) of their points, in the true pose, to the planes that were hit."""
+
+    def draw(noise: float) -> Any:
+        given = jax.tree.map(jnp.float32, whole.Params(noise=noise, encoder=ENCODER))
+        one = jax.jit(partial(simulate, shape, whole.Fixed, given, steps=STEPS))
+        return jax.lax.map(lambda key: one(key=key), jax.random.split(jax.random.key(seed), logs))
+
+    (many, truth), (exact, _) = draw(noise), draw(0.0)
+    origin, direction = (np.asarray(x).reshape(-1, 3) for x in (shape.rays.origin, shape.rays.direction))
+    scanned, zone = np.array(shape.scanned), np.argsort(shape.rays.index.reshape(-1), kind="stable")[: shape.readings]
+    owner = np.repeat(np.arange(len(scanned)), shape.rays.index.shape[1])
+    turn, place = (np.asarray(x)[:, :, scanned][:, :, owner] for x in (truth.rotation, truth.position))
+    ray = np.einsum("ltnij,nj->ltni", turn, direction)[:, :, zone]
+    from_ = (place + np.einsum("ltnij,nj->ltni", turn, origin))[:, :, zone]
+    reach = np.asarray(exact.ranges.value)
+    hit = from_ + ray * reach[..., None]
+    centers, halves = np.array(ROOM.centers), np.array(ROOM.halves)
+    faces = np.concatenate([[ROOM.lower], [ROOM.upper], centers - halves, centers + halves])
+    axis = np.abs(hit[..., None, :] - faces).min(axis=-2).argmin(axis=-1)
+    slant = np.take_along_axis(ray, axis[..., None], axis=-1)[..., 0]
+    off = (np.asarray(many.ranges.value) - reach) * slant
+    return many, float(np.mean(off[np.asarray(many.ranges.valid)] ** 2))
+
+
+def crossing(at: np.ndarray, slopes: np.ndarray) -> tuple[float, float]:
+    """Where the mean of slopes (K, logs) at K places turns positive for good, and its standard error over the logs."""
+    mean = slopes.mean(axis=1)
+    rising = np.flatnonzero((mean[:-1] < 0) & (mean[1:] >= 0))
+    if not rising.size or mean[-1] < 0:
+        raise ValueError(f"slopes: from {mean[0]:.3g} to {mean[-1]:.3g}, expected a change of sign between")
+    k = int(rising[-1])
+    share = mean[k] / (mean[k] - mean[k + 1])
+    error = _error(slopes[k] + share * (slopes[k + 1] - slopes[k]))
+    return float(at[k] + share * (at[k + 1] - at[k])), float(error * (at[k + 1] - at[k]) / (mean[k + 1] - mean[k]))
 
 
 def minimum(table: np.ndarray) -> tuple[float, float]:
