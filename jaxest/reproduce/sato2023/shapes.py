@@ -153,7 +153,7 @@ def fig3(choice: Choice, say: Say) -> Section:
             axis.plot(np.rad2deg(x), density * np.pi / 180, color=canvas.BLUE, label="von Mises")
             axis.axvline(np.rad2deg(one.circular), color=canvas.GREEN, label="circular mean")
             axis.axvline(np.rad2deg(one.naive), color=canvas.RED, linestyle="--", label="naive mean")
-        canvas.legend(figure, figure.axes[0])
+        figure.axes[0].legend(fontsize=8, frameon=False, loc="upper left")  # above, the title is in the way
         figure.axes[-1].set_xlabel("angle [deg]")
 
     title = "Fig. 3: naive against circular mean"

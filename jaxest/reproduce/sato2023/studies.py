@@ -128,6 +128,7 @@ def hyperparameters(choice: Choice, say: Say) -> Section:
             colour = (canvas.BLUE, canvas.RED, canvas.GREEN, canvas.ORANGE)[j]
             axis.bar(place + 0.2 * (j - 1.5), [w[j] for w in widths.values()], 0.2, label=joint, color=colour)
         axis.set_xticks(place, list(widths), rotation=40, ha="right", fontsize=8)
+        axis.margins(y=0.12)  # room for the legend
         canvas.legend(figure, axis)
 
     title = "Section V-A: hyperparameters, all sensors, bootstrap filter"

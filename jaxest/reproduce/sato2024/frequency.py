@@ -78,7 +78,7 @@ def _paint(figure: Any, shares: NDArray[np.float64], curves: dict[tuple[int, int
             # Beyond its first pole or zero a curve says nothing more.
             end = int(np.argmax(np.append(np.abs(found[:, column] - 1) > 0.8, True)))
             axis.plot(shares[:end], found[:end, column], linewidth=1.2, label=f"N = {n}, M = {m}")
-        axis.axhline(BORDER, color=canvas.RED, linestyle="--", linewidth=0.9)
+        axis.axhline(BORDER, color=canvas.RED, linestyle="--", linewidth=0.9, label="-3 dB")
         axis.set_ylim(0, 1.8)
     axes[0].set_ylabel("estimated / true length")
     axes[0].legend(fontsize=8, frameon=False)

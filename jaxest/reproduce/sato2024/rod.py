@@ -221,9 +221,12 @@ def motion(choice: Choice, say: Say) -> Section:
         shown.append((float(np.median(spread)), float(np.median(errors.distance))))
 
     def paint(figure: Any) -> None:
-        axis = canvas.plain(figure.subplots(), xlabel="rate [rad/s rms]", ylabel="[mm]")
+        axis = canvas.plain(figure.subplots(), xlabel="rate [rad/s rms]", ylabel="of the position [mm]")
         for column, (label, colour) in enumerate((("sqrt of trace", canvas.BLUE), ("error, median", canvas.RED))):
-            axis.loglog(speeds, [s[column] for s in shown], "o-", color=colour, label=label)
+            axis.semilogx(speeds, [s[column] for s in shown], "o-", color=colour, label=label)
+        canvas.logarithmic(axis)
+        axis.set_xticks(speeds, [f"{speed:g}" for speed in speeds])
+        axis.set_xticks([], minor=True)
         axis.legend(frameon=False)
 
     title = "Section V-B: the harder it is shaken, the smaller the covariance"
