@@ -28,7 +28,7 @@ from slam_models import tiny
 from jaxest import kinematics
 from jaxest.filters import attitude, bingham_linear, complementary, kalman, resampling, rls, run
 from jaxest.io.checkpoint import load_state, save_state
-from jaxest.systems import deflection, orientation, torque
+from jaxest.systems import deflection, orientation, slam_chain, torque
 from jaxest.types import NON_FINITE, OK, Reading, System
 
 PENDULUM = """<mujoco><worldbody><body><joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -.5" size=".02"
@@ -52,6 +52,8 @@ class Row(NamedTuple):
     """False for an estimator whose gradient is tested by its score, or that jumps from plane to plane."""
     factor: float = 256.0
     """Eps of each leaf's largest entry to which two programs agree; more where small numbers are left of large ones."""
+    slow: bool = False
+    """A variant of another row, among the slow tests."""
 
 
 SIX = ("gyroscope", "accelerometer")
@@ -77,6 +79,7 @@ ROWS = [
     Row("rls_pseudo_inverse", partial(position, rls.pseudo_inverse)),
     Row("kalman_iterated", partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0)),
     Row("slam", tiny, differentiable=False, factor=1e5),
+    Row("slam_chain", partial(tiny, system=slam_chain), differentiable=False, factor=1e5, slow=True),
     Row("particle_bootstrap", particle_arm, differentiable=False),
     Row("deflection_guided", partial(bent_arm, deflection.guided, FEW), differentiable=False),
     Row("deflection_joints", hanging, differentiable=False),
@@ -132,10 +135,10 @@ def marked(row):
 
     The last three have a sister whose step is the same code but for one function.
     """
-    return pytest.param(row, marks=[pytest.mark.slow] if row.name in EAGERLY_SLOW else [], id=row.name)
+    return pytest.param(row, marks=[pytest.mark.slow] if row.slow or row.name in EAGERLY_SLOW else [], id=row.name)
 
 
-@pytest.fixture(params=ROWS, ids=[row.name for row in ROWS])
+@pytest.fixture(params=[pytest.param(row, marks=[pytest.mark.slow] if row.slow else [], id=row.name) for row in ROWS])
 def row(request):
     return request.param
 

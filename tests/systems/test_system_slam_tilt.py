@@ -172,6 +172,32 @@ def test_turns_are_eliminated_and_found_again_as_a_dense_solve_does(dtype):
         np.testing.assert_allclose(found.covariance[s], np.asarray(covariance[s], float) - less, atol=10 * tolerance)
 
 
+@pytest.mark.slow  # three programs of the whole step
+@pytest.mark.parametrize("odometry", [True, False])
+def test_turns_are_found_beside_a_free_root(odometry):
+    """With odometry and by the room alone: turns come nearer, root and turns are held by their covariances."""
+    drawn = turns(3)
+    angle = np.linalg.norm(drawn, axis=1)
+    real = slam.build(robot(free=True), tilted(sensors(5, 5), angle, drawn / angle[:, None]), **SIZES)
+    draw = partial(real.simulate, real.default_params, steps=STEPS, amplitude=0.4, odometry=odometry)
+    given, truth = jax.jit(lambda key: draw(key=key), compiler_options=QUICK)(jax.random.key(3))
+    system = slam.build(robot(free=True), sensors(5, 5), align=True, **SIZES)
+    params = system.default_params._replace(tilt=TILT)
+    state, info = jax.jit(partial(run, system.step), compiler_options=QUICK)(params, system.init(params), given)
+    assert np.all(np.asarray(info.status) == 0)
+    away = np.asarray(info.position)[:, 0] - np.asarray(truth.position)[:, 0]
+    assert np.linalg.norm(away[-10:], axis=1).max() < 0.05
+    shared = np.asarray(info.pose_covariance, float)[-1, 0, 3:, 3:]
+    assert away[-1] @ np.linalg.solve(shared, away[-1]) / 3 < 4
+    mounts, first = state.mounts, 6 + len(state.mean.bias)
+    wrong = np.asarray(mounts.ring)[:, None] + np.asarray(mounts.turn) - drawn.reshape(4, 8, 3)
+    common = np.asarray(state.covariance, float)[first:, first:].reshape(4, 3, 4, 3)
+    covariance = np.asarray(mounts.covariance, float) + np.stack([common[k, :, k] for k in range(4)])[:, None]
+    squared = np.einsum("lsi,lsij,lsj->ls", wrong, np.linalg.inv(covariance), wrong) / 3
+    assert 0.4 < squared.mean() < 2
+    assert np.sqrt(np.mean(wrong**2)) < 0.85 * np.sqrt(np.mean(drawn**2))
+
+
 @pytest.mark.slow  # two programs of the whole step
 def test_a_batch_gives_what_one_after_the_other_does(aligned, scenes):
     system, params, _ = aligned
