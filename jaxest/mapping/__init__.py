@@ -11,7 +11,7 @@ Not here: files (`jaxest.io.clouds`), poses and filters (`jaxest.systems.slam`).
 
 from jaxest.mapping.layout import Grid, Hashed, Layout
 from jaxest.mapping.neighbours import Neighbours, nearest
-from jaxest.mapping.planes import Planes, fit
+from jaxest.mapping.planes import Planes, fit, influence
 from jaxest.mapping.voxels import VoxelMap, carried, empty, insert, likeliest, merge, occupied, shift
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "carried",
     "empty",
     "fit",
+    "influence",
     "insert",
     "likeliest",
     "merge",

@@ -22,6 +22,10 @@ class Planes(NamedTuple):
     """(n,) m, root mean square extent along the plane's shorter way: small where the points lie on a line."""
     valid: Array
     """(n,) bool, enough neighbours that do not lie on a line."""
+    share: Array
+    """(k, n) of each neighbour in the centroid; sums to 1 where there is any."""
+    moment: tuple[Array, ...]
+    """xx, xy, xz, yy, yz and zz (n,) m2 of the neighbours about the centroid."""
 
 
 def fit(
@@ -63,7 +67,37 @@ def fit(
     # The root of an exact 0 has no derivative. A floor, for `where` would ask twice for the sign of what is left of
     # rounding, and XLA, which may compute it twice, may answer twice.
     thickness, spread = (jnp.sqrt(jnp.maximum(v, FLAT**2)) for v in (low, middle))
-    return Planes(jnp.stack(center, -1), normal, thickness, spread, (count >= least) & (spread > line))
+    valid = (count >= least) & (spread > line)
+    return Planes(jnp.stack(center, -1), normal, thickness, spread, valid, share, a)
+
+
+def influence(planes: Planes, points: tuple[Array, Array, Array], x: Array) -> Array:
+    """Return by how much a plane at x goes along when one of its neighbours leaves it sideways.
+
+    Where all neighbours turn about an axis, so does the plane: the sum over neighbours of influence and motion is the
+    motion of the plane beside x, where that of their centroid would leave out the turn.
+
+    Args:
+        planes: n planes.
+        points: x, y and z (k, n) m of their neighbours, as `fit` had them.
+        x: (n, 3) m, where each plane is asked for.
+
+    Returns:
+        (k, n), sums to 1; plain shares where a plane is not valid.
+    """
+    n, away = planes.normal, x - planes.center
+    away = away - jnp.sum(n * away, axis=1, keepdims=True) * n
+    xx, xy, xz, yy, yz, zz = planes.moment
+    flat = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
+    # Along the normal, where neighbours have no extent, anything but 0 will do: nothing of `away` points there.
+    full = flat + (xx + yy + zz)[:, None, None] * n[:, :, None] * n[:, None, :]
+    full = jnp.where(planes.valid[:, None, None], full, jnp.eye(3, dtype=x.dtype))
+    a, b, c = full[:, 0], full[:, 1], full[:, 2]
+    sides = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=2)
+    slope = jnp.sum(sides * away[:, None, :], axis=2) / jnp.sum(a * sides[:, :, 0], axis=1, keepdims=True)
+    slope = jnp.where(planes.valid[:, None], slope, 0)
+    lever = sum(slope[:, i] * (points[i] - planes.center[:, i]) for i in range(3))
+    return planes.share * (1 + lever)
 
 
 def eigenvalues(a: tuple[Array, ...]) -> tuple[Array, Array]:
@@ -105,4 +139,4 @@ def eigenvector(a: tuple[Array, ...], value: Array) -> Array:
     return jnp.stack(parts, -1)
 
 
-__all__ = ["Planes", "eigenvalues", "eigenvector", "fit"]
+__all__ = ["Planes", "eigenvalues", "eigenvector", "fit", "influence"]

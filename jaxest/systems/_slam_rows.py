@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxest import linalg
 from jaxest.filters.kalman.gaussian import product, symmetric
 from jaxest.manifolds import so3
-from jaxest.mapping import Layout, VoxelMap, carried, fit, nearest
+from jaxest.mapping import Layout, VoxelMap, carried, fit, influence, nearest
 from jaxest.systems._slam_tilt import Aims, Turned, parted, swung, taken_out
 from jaxest.types import Array
 
@@ -130,35 +130,37 @@ def match(
     neighbours = [chart.point[:, i][near.row] for i in range(3)]
     read = jnp.where(near.there, chart.total[:, 3][near.row], 1)
     weight = 1 / (params.uneven**2 + scatter[None] ** 2 / read)
-    planes = fit((neighbours[0], neighbours[1], neighbours[2]), near.there, weight)
+    beside = (neighbours[0], neighbours[1], neighbours[2])
+    planes = fit(beside, near.there, weight)
     known = points.valid & planes.valid
     n = planes.normal
-    weight = jnp.where(near.there, weight, 0)
-    share = weight / jnp.maximum(jnp.sum(weight, axis=0), 1)[None]
     kept = jnp.where(near.there[..., None], carried(chart, near.row), 0)
-    moves = jnp.sum(share[..., None] * kept, axis=0)
-    mount: Any = None
+
+    def moves(x: Array) -> Array:
+        gone = jnp.sum(influence(planes, beside, x)[..., None] * kept[..., : 3 * len(offset)], axis=0)
+        return jnp.sum(n[:, :, None] * gone.reshape(len(x), 3, len(offset)), axis=1)
+
+    own: Any = 0.0
     hazy: Any = 0.0
     if turned is not None:
-        moves, own, hazy = parted(moves, 3 * len(offset), turned)
-        # With what the sensors of a link have put into the map themselves they agree, however they are turned.
-        mount = (1 - own)[:, None] * jnp.cross(points.reach[:, None] * points.ray, product(n, pose.rotation))
-    moves = moves.reshape(len(x), 3, len(offset))
+        own, hazy = parted(jnp.sum(planes.share[..., None] * kept[..., 3 * len(offset) :], axis=0), turned)
     found = known & (planes.thickness < params.thickness + scatter + hazy**0.5)
-    along = jnp.sum(n[:, :, None] * moves, axis=1)
     roots = len(covariance) - len(offset)
-    away = x - planes.center
-    residual = jnp.sum(n * away, axis=1) - product(along, offset)
-    read = jnp.sum(share * read, axis=0)
+    residual = jnp.sum(n * (x - planes.center), axis=1) - product(moves(x), offset)
+    read = jnp.sum(planes.share * read, axis=0)
     slant = jnp.sum(n * ray, axis=1)
     white = (scatter * slant) ** 2
     lasting = params.lasting**2 + (params.share * scatter) ** 2
     tilted = (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0) if turned is None else hazy
     plain = white * (1 + 1 / jnp.maximum(read, 1)) + lasting + tilted + params.uneven**2
-    x = x - jnp.where(found, _overshoot(residual, slant, scatter, plain), 0)[:, None] * ray
-    slope = point_slope(pose, x)
+    over = jnp.where(found, _overshoot(residual, slant, scatter, plain), 0)
+    x, points = x - over[:, None] * ray, points._replace(reach=points.reach - over)
+    along, slope = moves(x), point_slope(pose, x)
+    mount: Any = None
     if turned is not None:
         slope = swung(slope, pose.rotation, points, turned.first)
+        # With what the sensors of a link have put into the map themselves they agree, however they are turned.
+        mount = (1 - own)[:, None] * jnp.cross(points.reach[:, None] * points.ray, product(n, pose.rotation))
     design = jnp.sum(n[:, :, None] * slope, axis=1)
     whole = design[:, roots:]
     design = jnp.concatenate([design[:, :roots], whole - along], axis=1)

@@ -113,15 +113,14 @@ def along(points: Any, v: Array, turned: Turned) -> Any:
     return points._replace(local=points.local + jnp.cross(swing[None], points.reach[:, None] * points.ray))
 
 
-def parted(kept: Array, moves: int, turned: Turned) -> tuple[Array, Array, Array]:
-    """Part what map points (n, moves + L + 1) carry.
+def parted(kept: Array, turned: Turned) -> tuple[Array, Array]:
+    """Part what map points (n, L + 1) carry beside how they move.
 
     Returns:
-        How they move with the unknowns (n, moves), the share that a link's own points have in them (n,), and the
-        variances (n,) m2 by which they are off their planes for what was unknown of turns when they were read.
+        The share that a link's own points have in them (n,), and the variances (n,) m2 by which they are off their
+        planes for what was unknown of turns when they were read.
     """
-    own = jax.lax.dynamic_index_in_dim(kept, moves + turned.link, axis=1, keepdims=False)
-    return kept[:, :moves], own, kept[:, -1]
+    return jax.lax.dynamic_index_in_dim(kept, turned.link, axis=1, keepdims=False), kept[:, -1]
 
 
 def filed(points: Any, mounts: Mounts, at: Array) -> Array:
