@@ -10,8 +10,9 @@ import numpy as np
 from jaxest.filters.kalman import information_gain
 from jaxest.filters.kalman.factors import reanchor
 from jaxest.filters.kalman.gaussian import product, sandwich, symmetric
-from jaxest.mapping import Layout, VoxelMap, carried, shift
+from jaxest.mapping import Layout, VoxelMap
 from jaxest.systems import _slam_body as bodies
+from jaxest.systems._slam_bend import bent
 from jaxest.systems._slam_body import Body, Mean
 from jaxest.systems._slam_rows import Points, Pose, Sums, match, moved, sums
 from jaxest.systems._slam_tilt import Mounts, Turned, along, unknowns
@@ -21,7 +22,7 @@ TRIALS = np.linspace(-2.5, 2.5, 21)  # deviations of a bias at which a link is t
 DOUBT = 0.05  # rad or m: a bias known worse is tried
 ALIKE = 1e-4  # share by which one start must fit better than another
 STEP = 5e-3  # m or rad: planes are looked for again when a link has moved by more
-BEND = 1e-3  # rad or m: the map is bent at once when a bias has changed by more, and at the end of the step anyway
+BEND = 1e-3  # rad or m: the map is bent when what its points were placed by has changed by more
 REACH = 1.0  # m, at which a rotation counts as a motion
 FITS = 0.3  # share of the points with the map about them that must lie on its planes
 ASTRAY = 0.7  # of the usual share: a free root of which less fits is looked for
@@ -256,7 +257,7 @@ def register(
     seen = Seen(told, fit.odd, fit.surprise, count, settled, jnp.bool_(True), lost)
     right = (told.inliers >= config.least) & ~lost & ~amiss(config, told)
     found = None if turned is None else (fit.sums.aims, fit.correction - last, fit.covariance, right)
-    return rebased(_arrived(body, carry, fit)), seen, found
+    return rebased(body, _arrived(body, carry, fit)), seen, found
 
 
 def _arrived(body: Body, carry: Carry, fit: Fit) -> Carry:
@@ -283,17 +284,14 @@ def _doubt(covariance: Array, pose: Pose, roots: int) -> tuple[Array, Array]:
     return jax.lax.stop_gradient(column / deviation), jnp.max(variance) > DOUBT**2
 
 
-def rebased(carry: Carry, least: float = BEND) -> Carry:
-    """Move the map's points to where the biases now put them, if those changed by `least` rad or m or more."""
-
-    def bend() -> tuple[VoxelMap, Array]:
-        moves = carried(carry.chart)[:, : 3 * len(carry.reference)]
-        slope = moves.reshape(carry.chart.point.shape[0], 3, -1)
-        return shift(carry.chart, product(slope, here - carry.reference)), here
-
+def rebased(body: Body, carry: Carry) -> Carry:
+    """Bend the map to where the unknowns now put it, if one of them changed by `BEND` or more."""
     here = unknowns(carry.mean.bias, carry.mounts)
-    far = jnp.max(jnp.abs(here - carry.reference), initial=0) >= least
-    chart, reference = jax.lax.cond(far, bend, lambda: (carry.chart, carry.reference))
+    change = here - carry.reference
+    far = jnp.max(jnp.abs(change), initial=0) >= BEND
+    chart, reference = jax.lax.cond(
+        far, lambda: (bent(body, carry.chart, carry.links, change), here), lambda: (carry.chart, carry.reference)
+    )
     return carry._replace(chart=chart, reference=reference)
 
 

@@ -100,6 +100,9 @@ class State(NamedTuple):
     covariance: Array
     """(D, D), [root's position, rotation in the root, biases]."""
     chart: VoxelMap
+    reference: Array
+    """(n,) biases at which the map's points stand, or (n + 3 L,) with what the sensors of links have in common; less
+    than 1e-3 from what is believed."""
     reading: Array
     """(n,) last reading of each encoder."""
     pace: Array

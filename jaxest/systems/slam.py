@@ -31,7 +31,7 @@ from jaxest.sensors.proximity import Proximity
 from jaxest.systems import _slam_body as bodies
 from jaxest.systems._slam_body import Body, Mean
 from jaxest.systems._slam_link import repeats, walk
-from jaxest.systems._slam_register import Carry, Config, Seen, amiss, rebased
+from jaxest.systems._slam_register import Carry, Config, Seen, amiss
 from jaxest.systems._slam_rows import Points
 from jaxest.systems._slam_simulation import simulate
 from jaxest.systems._slam_tilt import begin, carries, unknowns
@@ -106,7 +106,8 @@ def init(body: Body, layout: Layout, capacity: int, align: bool, params: Params,
         spread, extra = jnp.concatenate([spread, common]), extra + carries(body)
     chart = empty(layout, capacity, extra, dtype)
     still, unseen, none = jnp.zeros(6, dtype), jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
-    return State(bodies.home(body, dtype), jnp.diag(spread), chart, reading, still, unseen, mounts, none)
+    first = bodies.home(body, dtype)
+    return State(first, jnp.diag(spread), chart, unknowns(first.bias, mounts), reading, still, unseen, mounts, none)
 
 
 def points_of(body: Body, ranges: Reading) -> Points:
@@ -135,21 +136,20 @@ def _step(
     noise = jnp.where(there, params.encoder, params.missing) ** 2 * jnp.ones(n, dtype)
     mean, covariance, doubt = _predict(body, params, state, measurement)
     links = bodies.links(body, mean, reading, body.scanned)
-    start = Carry(mean, covariance, state.chart, unknowns(state.mean.bias, state.mounts), links, state.mounts)
+    start = Carry(mean, covariance, state.chart, state.reference, links, state.mounts)
     points = points_of(body, measurement.ranges)
     if state.mounts is not None:
         points = points._replace(sensor=jnp.asarray(body.rays.sensor, jnp.int32))
     before = bodies.links(body, state.mean, state.reading, body.scanned)
     scans = repeats(params, links, before, state.index)
     carry, seen = walk(body, config, params, start, reading, noise, points, scans, state.index, doubt, state.usual)
-    carry = rebased(carry, 0.0)
     info = _info(body, config, params, carry, seen, reading, noise, broken, state.chart)
     pace = _pace(state.mean, carry.mean, measurement.dt) if body.root is not None else state.pace
     usual, index = _usual(state, seen), state.index + 1
-    after = State(carry.mean, carry.covariance, carry.chart, reading, pace, usual, carry.mounts, index)
+    after = State(carry.mean, carry.covariance, carry.chart, carry.reference, reading, pace, usual, carry.mounts, index)
     # The map keeps what it was given: it takes no point of a link that is not known well.
     belief, info = within_range(state._replace(chart=None), after._replace(chart=None), info)  # type: ignore[arg-type]
-    return belief._replace(chart=carry.chart), info
+    return belief._replace(chart=carry.chart, reference=carry.reference), info
 
 
 def _predict(body: Body, params: Params, state: State, measurement: Any) -> tuple[Mean, Array, Array]:
