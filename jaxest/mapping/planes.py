@@ -96,7 +96,7 @@ def influence(planes: Planes, points: tuple[Array, Array, Array], x: Array) -> A
     sides = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=2)
     slope = jnp.sum(sides * away[:, None, :], axis=2) / jnp.sum(a * sides[:, :, 0], axis=1, keepdims=True)
     slope = jnp.where(planes.valid[:, None], slope, 0)
-    lever = sum(slope[:, i] * (points[i] - planes.center[:, i]) for i in range(3))
+    lever = sum(slope[None, :, i] * (points[i] - planes.center[None, :, i]) for i in range(3))
     return planes.share * (1 + lever)
 
 

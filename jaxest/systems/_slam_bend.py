@@ -7,7 +7,6 @@ learn from the difference: of a robot whose first link sees nothing, the bias of
 robot alike, would seem to be known.
 """
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
@@ -35,19 +34,24 @@ def bent(body: Body, chart: VoxelMap, links: bodies.Links, change: Array) -> Vox
     n, count = len(change), len(chart.point)
     kept = carried(chart)
     slope = kept[:, : 3 * n].reshape(count, 3, n)
-    turns = _turns(body)[:n, :n]
+    turns, carries = (x[:n, :n] for x in _turns(body))
     axes = _axes(body, links)[:, :n]
-    above = product(axes * change[None], jnp.asarray(turns + np.eye(n), slope.dtype))
+    above = product(axes * change[None], jnp.asarray(turns, slope.dtype))
     gone = slope * change[None, None]
-    below = product(gone.reshape(-1, n), jnp.asarray(turns.T, slope.dtype)).reshape(slope.shape)
+    below = product(gone.reshape(-1, n), jnp.asarray(carries.T, slope.dtype)).reshape(slope.shape)
     newer = slope + _cross(above[None], slope) + _cross(axes[None], below)
     moved = shift(chart, jnp.sum((slope + newer) * change[None, None], axis=2) / 2)
     total = moved.total.at[:, 4 : 4 + 3 * n].set(newer.reshape(count, -1) * moved.total[:, 3:4])
     return moved._replace(total=total)
 
 
-def _turns(body: Body) -> NDArray[np.float64]:
-    """Say which unknowns (n + 3 L) turn the axis of which, 0 or 1: joints those beyond them, and the links' sensors."""
+def _turns(body: Body) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Say what the unknowns (n + 3 L) do to each other, 0 or 1.
+
+    Returns:
+        Which turn the axis of which: joints those beyond them, and the links' sensors, which turn in their link. And
+        which turn about their axis what which moves: those as well, themselves, and all three of a link's sensors.
+    """
     parent, at = body.robot.topology.body_parent, body.robot.topology.joint_body
 
     def hangs(link: int, joint: int) -> bool:
@@ -55,14 +59,14 @@ def _turns(body: Body) -> NDArray[np.float64]:
             link = parent[link]
         return link == at[joint]
 
-    n, rings = len(body.joints), 3 * len(body.scanned)
-    found = np.zeros((n + rings, n + rings))
+    n, links = len(body.joints), len(body.scanned)
+    turns = np.zeros((n + 3 * links, n + 3 * links))
     for j, joint in enumerate(body.joints):
-        found[j, :n] = [hangs(at[other], joint) and other > joint for other in body.joints]
-        found[j, n:] = np.repeat([hangs(link, joint) for link in body.scanned], 3)
-    for ring in range(n, n + rings, 3):
-        found[ring : ring + 3, ring : ring + 3] = np.triu(np.ones((3, 3)), 1)
-    return found
+        turns[j, :n] = [hangs(at[other], joint) and other > joint for other in body.joints]
+        turns[j, n:] = np.repeat([hangs(link, joint) for link in body.scanned], 3)
+    own = np.eye(n + 3 * links)
+    own[n:, n:] = np.kron(np.eye(links), np.ones((3, 3)))
+    return turns, turns + own
 
 
 def _axes(body: Body, links: bodies.Links) -> Array:

@@ -287,3 +287,42 @@ def test_planes_weigh_their_points():
     np.testing.assert_allclose(planes.center, center, atol=1e-6)
     np.testing.assert_allclose(np.asarray(planes.thickness) ** 2, values[:, 0], atol=1e-5)
     assert np.median(np.abs(np.sum(np.asarray(planes.normal) * vectors[:, :, 0], axis=1))) > 0.9999
+
+
+def test_a_plane_turns_with_its_neighbours(x64):
+    """Any small turn and shift of the neighbours of noisy planes, against planes laid again through the moved ones."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-1, 1, (40, 5, 3)) * [0.3, 0.3, 0.002]
+    points = np.einsum("nij,nkj->nki", np.linalg.qr(rng.normal(size=(40, 3, 3)))[0], points) + rng.normal(size=(40, 1, 3))
+    turn, travel, small = np.array([1.0, -2.0, 0.5]), np.array([0.3, 0.1, -0.2]), 1e-5
+    there, weight = jnp.ones((5, 40), bool), jnp.asarray(rng.uniform(0.5, 2, (5, 40)))
+    x = jnp.asarray(points.mean(1) + 0.2 * rng.normal(size=(40, 3)))
+
+    def laid(moved):
+        beside = tuple(jnp.asarray((points + moved * small)[:, :, i].T) for i in range(3))
+        return mapping.fit(beside, there, weight), beside
+
+    def height(planes):
+        return jnp.sum(planes.normal * (x - planes.center), axis=1)
+
+    moved = np.cross(turn, points) + travel
+    (planes, beside), (again, _) = laid(0 * moved), laid(moved)
+    assert np.sum(planes.valid) > 35
+    share = mapping.influence(planes, beside, x)
+    np.testing.assert_allclose(jnp.sum(share, axis=0), 1, atol=1e-9)
+    along = jnp.einsum("kn,nki,ni->n", share, moved, planes.normal)
+    same = jnp.sign(jnp.sum(planes.normal * again.normal, axis=1))
+    fine = np.asarray(planes.valid)
+    np.testing.assert_allclose(((height(planes) - same * height(again)) / small)[fine], along[fine], atol=0.05)
+    # What a plane moves by at the centroid is not that.
+    assert np.abs(along - jnp.einsum("kn,nki,ni->n", planes.share, moved, planes.normal)).max() > 0.3
+
+
+def test_influence_has_derivatives_also_where_there_is_no_plane():
+    points = tuple(jnp.zeros((5, 1)).at[:, 0].set(jnp.arange(5.0) * (i == 0)) for i in range(3))
+
+    def far(x):
+        planes = mapping.fit(points, jnp.ones((5, 1), bool))
+        return jnp.sum(mapping.influence(planes, points, x) ** 2)
+
+    assert np.all(np.isfinite(jax.grad(far)(jnp.array([[0.3, 0.2, 0.1]]))))
