@@ -293,9 +293,8 @@ def test_a_plane_turns_with_its_neighbours(x64):
     """Any small turn and shift of the neighbours of noisy planes, against planes laid again through the moved ones."""
     rng = np.random.default_rng(5)
     points = rng.uniform(-1, 1, (40, 5, 3)) * [0.3, 0.3, 0.002]
-    points = np.einsum("nij,nkj->nki", np.linalg.qr(rng.normal(size=(40, 3, 3)))[0], points) + rng.normal(
-        size=(40, 1, 3)
-    )
+    points = np.einsum("nij,nkj->nki", np.linalg.qr(rng.normal(size=(40, 3, 3)))[0], points)
+    points = points + rng.normal(size=(40, 1, 3))
     turn, travel, small = np.array([1.0, -2.0, 0.5]), np.array([0.3, 0.1, -0.2]), 1e-5
     there, weight = jnp.ones((5, 40), bool), jnp.asarray(rng.uniform(0.5, 2, (5, 40)))
     x = jnp.asarray(points.mean(1) + 0.2 * rng.normal(size=(40, 3)))
