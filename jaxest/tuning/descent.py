@@ -187,7 +187,7 @@ def _quasi_newton(method: Method, state: State, value: Array, gradient: Array) -
     update, memory = method.transform.update(gradient, memory, state.trial)
     direction = _limited(method, -update)
     promised, slope = -jnp.sum(direction * gradient) / 2, _length(gradient)
-    little, short = _unseen(method, value), _length(direction) < method.tolerance
+    little, short = unseen(method, value), _length(direction) < method.tolerance
     flat, small = slope * method.longest / 2 <= little, promised <= little
     stuck = jnp.abs(value - state.value) <= little
     # A little step clears the steep directions of slope first, so that the next gradient is that of the others.
@@ -210,7 +210,7 @@ def _grain(value: Array) -> Array:
     return GRAIN * jnp.finfo(value.dtype).eps * jnp.abs(value)
 
 
-def _unseen(method: Method, value: Array) -> Array:
+def unseen(method: Method, value: Array) -> Array:
     """Largest decrease that ends a descent."""
     return jnp.maximum(method.decrease * jnp.abs(value), _grain(value))
 
@@ -229,8 +229,8 @@ def _shortened(method: Method, state: State) -> State:
     share = state.share / 4
     length = _length(state.direction) * share
     # No direction brings more within that length, were the slope to end at its far end.
-    unseen = length * _length(state.gradient) / 2 <= _unseen(method, state.value)
-    settled = (length < method.tolerance) | unseen
+    nothing = length * _length(state.gradient) / 2 <= unseen(method, state.value)
+    settled = (length < method.tolerance) | nothing
     return state._replace(
         trial=state.point + share * state.direction,
         share=share,

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxest.tuning.descent import GRAIN, Method
+from jaxest.tuning.descent import PROBE, Method, lbfgs, unseen
 from jaxest.tuning.objectives import total
 from jaxest.tuning.optimise import Problem, Result, minimise
 from jaxest.tuning.recordings import Recording, Windows, sample_windows
@@ -51,17 +51,18 @@ def warm_start(
         that hardly matters in windows, they may end far apart. A start that found nothing finite is left out.
     """
     part = sample_windows(batch, windows, key)
+    method = lbfgs() if method is None else method
     draw = key if problem.objective.random else None
     found = minimise(problem, part, method=method, starts=starts, evaluations=evaluations, progress=progress,
                      key=draw, **options)  # fmt: skip
     points = np.asarray(found.points)
 
     def rises(i: int, j: int) -> bool:
-        """Whether the objective is higher between two points than at the higher one, by more than it is rounded."""
+        """Whether the objective is higher between two points than at the higher one, by what a descent would see."""
         way = np.asarray(BETWEEN, points.dtype)[:, None]
-        higher = max(found.values[i], found.values[j])
+        higher = np.maximum(found.values[i], found.values[j])
         between = np.asarray(_values(problem, (1 - way) * points[i] + way * points[j], part, draw))
-        return not (between <= higher + GRAIN * np.finfo(points.dtype).eps * abs(higher)).all()
+        return not (between <= higher + PROBE * np.asarray(unseen(method, jnp.asarray(higher)))).all()
 
     optima: list[list[int]] = []
     for i in np.argsort(np.where(np.isfinite(found.values), found.values, np.inf)):
