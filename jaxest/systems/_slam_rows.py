@@ -154,35 +154,52 @@ def match(
     tilted = (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0) if turned is None else hazy
     plain = white * (1 + 1 / jnp.maximum(read, 1)) + lasting + tilted + params.uneven**2
     over = jnp.where(found, _overshoot(residual, slant, scatter, plain), 0)
-    x, points = x - over[:, None] * ray, points._replace(reach=points.reach - over)
+    x, reach = x - over[:, None] * ray, points.reach - over
     along, slope = moves(x), point_slope(pose, x)
     mount: Any = None
     if turned is not None:
-        slope = swung(slope, pose.rotation, points, turned.first)
+        slope = swung(slope, pose.rotation, points._replace(reach=reach), turned.first)
         # With what the sensors of a link have put into the map themselves they agree, however they are turned.
-        mount = (1 - own)[:, None] * jnp.cross(points.reach[:, None] * points.ray, product(n, pose.rotation))
+        mount = (1 - own)[:, None] * jnp.cross(reach[:, None] * points.ray, product(n, pose.rotation))
     design = jnp.sum(n[:, :, None] * slope, axis=1)
     whole = design[:, roots:]
     design = jnp.concatenate([design[:, :roots], whole - along], axis=1)
     arm = x - pose.position[None]
     lever = jnp.concatenate([jnp.cross(arm, n), n], axis=1)
-    allowed = params.gate**2 * points.reach + 9 * scatter**2
-    if slack is not None:
-        allowed = allowed + 9 * product(design[:, :6] ** 2, slack)
-    if turned is not None:
-        allowed = allowed + 9 * (hazy + jnp.einsum("ni,nij,nj->n", mount, turned.covariance[points.sensor], mount))
+    allowed = _allowed(params, points, design, mount, hazy, slack, turned)
     shares = residual**2 / allowed
     inside = found & (shares < 1)
-    # Planes of a few readings each are wrong alike for all that is compared with them, and for scans to come.
-    once = 1 / jnp.maximum(read, 1)
-    variance = (params.floor**2 + white + planes.thickness**2) * (1 + params.fresh * once) + tilted
-    variance = variance + params.rough * scatter**2 * once
     again = _alike(whole, along, covariance[roots:, roots:]) * read
-    variance = (variance + again * lasting) ** 2 / variance
+    variance = _variance(params, planes.thickness, scatter, white, tilted, read, again * lasting)
     odd = jnp.sum(jnp.where(inside, residual**2 / plain, 0))
     misfit = jnp.sum(jnp.where(points.valid, jnp.where(inside, shares, 1), 0))
     far = None if turned is None else hazy / points.reach**2
     return Rows(residual, design, lever, jnp.where(inside, 1 / variance, 0), known, misfit, odd, mount, far)
+
+
+def _allowed(
+    params: Any, points: Points, design: Array, mount: Any, hazy: Any, slack: Array | None, turned: Turned | None
+) -> Array:
+    """Return the squares (n,) m2 of the residuals beyond which rows do not count."""
+    allowed = params.gate**2 * points.reach + 9 * (params.noise * points.reach) ** 2
+    if slack is not None:
+        allowed = allowed + 9 * product(design[:, :6] ** 2, slack)
+    if turned is not None:
+        allowed = allowed + 9 * (hazy + jnp.einsum("ni,nij,nj->n", mount, turned.covariance[points.sensor], mount))
+    return allowed
+
+
+def _variance(
+    params: Any, thickness: Array, scatter: Array, white: Array, tilted: Array, read: Array, shared: Array
+) -> Array:
+    """Return the variances (n,) m2 of residuals, of planes `read` times on average that share errors of `shared`.
+
+    Planes of a few readings each are wrong alike for all that is compared with them, and for scans to come.
+    """
+    once = 1 / jnp.maximum(read, 1)
+    variance = (params.floor**2 + white + thickness**2) * (1 + params.fresh * once) + tilted
+    variance = variance + params.rough * scatter**2 * once
+    return (variance + shared) ** 2 / variance
 
 
 def _overshoot(residual: Array, slant: Array, scatter: Array, variance: Array) -> Array:
