@@ -133,7 +133,7 @@ class Case(NamedTuple):
 def marked(row):
     """A row whose step is hundreds of small programs without `jit`, which take long to compile.
 
-    The last three have a sister whose step is the same code but for one function.
+    The last three are variants of a row that runs: `kalman_iterated` has a loop of its own, the others one function.
     """
     return pytest.param(row, marks=[pytest.mark.slow] if row.slow or row.name in EAGERLY_SLOW else [], id=row.name)
 

@@ -88,14 +88,12 @@ def influence(planes: Planes, points: tuple[Array, Array, Array], x: Array) -> A
     n, away = planes.normal, x - planes.center
     away = away - jnp.sum(n * away, axis=1, keepdims=True) * n
     xx, xy, xz, yy, yz, zz = planes.moment
-    flat = jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
-    # Along the normal, where neighbours have no extent, anything but 0 will do: nothing of `away` points there.
-    full = flat + (xx + yy + zz)[:, None, None] * n[:, :, None] * n[:, None, :]
-    full = jnp.where(planes.valid[:, None, None], full, jnp.eye(3, dtype=x.dtype))
-    a, b, c = full[:, 0], full[:, 1], full[:, 2]
-    sides = jnp.stack([jnp.cross(b, c), jnp.cross(c, a), jnp.cross(a, b)], axis=2)
-    slope = jnp.sum(sides * away[:, None, :], axis=2) / jnp.sum(a * sides[:, :, 0], axis=1, keepdims=True)
-    slope = jnp.where(planes.valid[:, None], slope, 0)
+    u, v, w = (away[:, i] for i in range(3))
+    turned = jnp.stack([xx * u + xy * v + xz * w, xy * u + yy * v + yz * w, xz * u + yz * v + zz * w], axis=1)
+    # Within the plane the moment A is 2 x 2: its inverse is (trace - A) / determinant, by Cayley and Hamilton.
+    trace, middle = xx + yy + zz - planes.thickness**2, planes.spread**2
+    determinant = jnp.where(planes.valid, middle * (trace - middle), 1)
+    slope = jnp.where(planes.valid[:, None], (trace[:, None] * away - turned) / determinant[:, None], 0)
     lever = sum(slope[None, :, i] * (points[i] - planes.center[None, :, i]) for i in range(3))
     return planes.share * (1 + lever)
 

@@ -73,15 +73,20 @@ def small(free=False):
     })  # fmt: skip
 
 
-def test_a_log_becomes_poses_biases_and_a_map(log, tmp_path, capsys, monkeypatch):
-    from jaxest.cli import main
-
+def called(log, links, config, tmp_path, monkeypatch):
+    """Lay out files and arguments of `jaxest estimate --json`; the folder becomes the current one."""
     write(log, tmp_path / "log.npz")
-    (tmp_path / "robot.xml").write_text(rooms.structure(2))
-    (tmp_path / "c.toml").write_text(CONFIG)
+    (tmp_path / "robot.xml").write_text(rooms.structure(links))
+    (tmp_path / "c.toml").write_text(config)
     arguments = ["estimate", "log.npz", "--method", "slam", "--robot", "robot.xml", "--config", "c.toml", "-o", "out"]
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.argv", ["jaxest", *arguments, "--json"])
+
+
+def test_a_log_becomes_poses_biases_and_a_map(log, tmp_path, capsys, monkeypatch):
+    from jaxest.cli import main
+
+    called(log, 2, CONFIG, tmp_path, monkeypatch)
     with pytest.raises(SystemExit) as left:
         main()
     assert left.value.code in (0, None)
@@ -105,12 +110,7 @@ def test_turns_of_sensors_are_reported_and_the_map_written_without_a_picture(tmp
 
     find = __import__("importlib.util").util.find_spec
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "matplotlib" else find(name))
-    write(small(), tmp_path / "log.npz")
-    (tmp_path / "robot.xml").write_text(rooms.structure(1))
-    (tmp_path / "c.toml").write_text(ALIGNED)
-    arguments = ["estimate", "log.npz", "--method", "slam", "--robot", "robot.xml", "--config", "c.toml", "-o", "out"]
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("sys.argv", ["jaxest", *arguments, "--json"])
+    called(small(), 1, ALIGNED, tmp_path, monkeypatch)
     with pytest.raises(SystemExit) as left:
         main()
     assert left.value.code in (0, None)
