@@ -135,10 +135,11 @@ def match(
     known = points.valid & planes.valid
     n = planes.normal
     kept = jnp.where(near.there[..., None], carried(chart, near.row), 0)
+    count = len(offset)
+    across = sum(n[None, :, i, None] * kept[..., i * count : (i + 1) * count] for i in range(3))
 
     def moves(x: Array) -> Array:
-        gone = jnp.sum(influence(planes, beside, x)[..., None] * kept[..., : 3 * len(offset)], axis=0)
-        return jnp.sum(n[:, :, None] * gone.reshape(len(x), 3, len(offset)), axis=1)
+        return jnp.sum(influence(planes, beside, x)[..., None] * across, axis=0)
 
     own: Any = 0.0
     hazy: Any = 0.0
