@@ -2,13 +2,14 @@
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 
 from jaxest import linalg
 from jaxest.filters.kalman.gaussian import product, symmetric
 from jaxest.manifolds import so3
 from jaxest.mapping import Layout, VoxelMap, carried, fit, influence, nearest
-from jaxest.systems._slam_tilt import Aims, Turned, parted, swung, taken_out
+from jaxest.systems._slam_tilt import Aims, Turned, parted, taken_out
 from jaxest.types import Array
 
 
@@ -156,17 +157,17 @@ def match(
     plain = white * (1 + 1 / jnp.maximum(read, 1)) + lasting + tilted + params.uneven**2
     over = jnp.where(found, _overshoot(residual, slant, scatter, plain), 0)
     x, reach = x - over[:, None] * ray, points.reach - over
-    along, slope = moves(x), point_slope(pose, x)
+    along, arm = moves(x), x - pose.position[None]
+    lever = jnp.concatenate([jnp.cross(arm, n), n], axis=1)
+    design = product(lever, jnp.concatenate([pose.turn, pose.travel]))
     mount: Any = None
     if turned is not None:
-        slope = swung(slope, pose.rotation, points._replace(reach=reach), turned.first)
+        swing = jnp.cross(reach[:, None] * points.ray, product(n, pose.rotation))
+        design = jax.lax.dynamic_update_slice(design, swing, (0, turned.first))
         # With what the sensors of a link have put into the map themselves they agree, however they are turned.
-        mount = (1 - own)[:, None] * jnp.cross(reach[:, None] * points.ray, product(n, pose.rotation))
-    design = jnp.sum(n[:, :, None] * slope, axis=1)
+        mount = (1 - own)[:, None] * swing
     whole = design[:, roots:]
-    design = jnp.concatenate([design[:, :roots], whole - along], axis=1)
-    arm = x - pose.position[None]
-    lever = jnp.concatenate([jnp.cross(arm, n), n], axis=1)
+    design = design.at[:, roots:].add(-along)
     allowed = _allowed(params, points, design, mount, hazy, slack, turned)
     shares = residual**2 / allowed
     inside = found & (shares < 1)
