@@ -23,7 +23,7 @@ from particle_models import GUIDED
 from particle_models import build as particle_arm
 from posture_models import fused, paired, pairs
 from quick_compile import FULL, QUICK
-from slam_models import tiny
+from slam_models import aligned, shaken, tiny
 
 from jaxest import kinematics
 from jaxest.filters import attitude, bingham_linear, complementary, kalman, resampling, rls, run
@@ -80,6 +80,8 @@ ROWS = [
     Row("kalman_iterated", partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0)),
     Row("slam", tiny, differentiable=False, factor=1e5),
     Row("slam_chain", partial(tiny, system=slam_chain), differentiable=False, factor=1e5, slow=True),
+    Row("slam_align", aligned, differentiable=False, factor=1e5, slow=True),
+    Row("slam_inertial", shaken, differentiable=False, factor=1e5, slow=True),
     Row("particle_bootstrap", particle_arm, differentiable=False),
     Row("deflection_guided", partial(bent_arm, deflection.guided, FEW), differentiable=False),
     Row("deflection_joints", hanging, differentiable=False),

@@ -8,8 +8,9 @@ import jax.numpy as jnp
 from jaxest import linalg
 from jaxest.filters.kalman.gaussian import product, symmetric
 from jaxest.manifolds import so3
-from jaxest.mapping import Layout, VoxelMap, carried, fit, influence, nearest
-from jaxest.systems._slam_tilt import Aims, Turned, parted, taken_out
+from jaxest.mapping import Layout, VoxelMap
+from jaxest.systems._slam_surface import goes, surface
+from jaxest.systems._slam_tilt import Aims, Turned, taken_out
 from jaxest.types import Array
 
 
@@ -127,29 +128,12 @@ def match(
     x = world(pose, points.local)
     scatter = params.noise * points.reach
     ray = product(points.ray, pose.rotation.T)
-    near = nearest(layout, chart, x, 2**0.5 * scatter)  # of the point, and of one that was read once
-    neighbours = [chart.point[:, i][near.row] for i in range(3)]
-    read = jnp.where(near.there, chart.total[:, 3][near.row], 1)
-    weight = 1 / (params.uneven**2 + scatter[None] ** 2 / read)
-    beside = (neighbours[0], neighbours[1], neighbours[2])
-    planes = fit(beside, near.there, weight)
+    plane = surface(layout, chart, x, scatter, params.uneven, len(offset), turned)
+    planes, read, hazy, n = plane.planes, plane.read, plane.hazy, plane.planes.normal
     known = points.valid & planes.valid
-    n = planes.normal
-    kept = jnp.where(near.there[..., None], carried(chart, near.row), 0)
-    count = len(offset)
-    across = sum(n[None, :, i, None] * kept[..., i * count : (i + 1) * count] for i in range(3))
-
-    def moves(x: Array) -> Array:
-        return jnp.sum(influence(planes, beside, x)[..., None] * across, axis=0)
-
-    own: Any = 0.0
-    hazy: Any = 0.0
-    if turned is not None:
-        own, hazy = parted(jnp.sum(planes.share[..., None] * kept[..., 3 * len(offset) :], axis=0), turned)
     found = known & (planes.thickness < params.thickness + scatter + hazy**0.5)
     roots = len(covariance) - len(offset)
-    residual = jnp.sum(n * (x - planes.center), axis=1) - product(moves(x), offset)
-    read = jnp.sum(planes.share * read, axis=0)
+    residual = jnp.sum(n * (x - planes.center), axis=1) - product(goes(plane, x), offset)
     slant = jnp.sum(n * ray, axis=1)
     white = (scatter * slant) ** 2
     lasting = params.lasting**2 + (params.share * scatter) ** 2
@@ -157,7 +141,7 @@ def match(
     plain = white * (1 + 1 / jnp.maximum(read, 1)) + lasting + tilted + params.uneven**2
     over = jnp.where(found, _overshoot(residual, slant, scatter, plain), 0)
     x, reach = x - over[:, None] * ray, points.reach - over
-    along, arm = moves(x), x - pose.position[None]
+    arm, along = x - pose.position[None], goes(plane, x)
     lever = jnp.concatenate([jnp.cross(arm, n), n], axis=1)
     design = product(lever, jnp.concatenate([pose.turn, pose.travel]))
     mount: Any = None
@@ -165,7 +149,7 @@ def match(
         swing = jnp.cross(reach[:, None] * points.ray, product(n, pose.rotation))
         design = jax.lax.dynamic_update_slice(design, swing, (0, turned.first))
         # With what the sensors of a link have put into the map themselves they agree, however they are turned.
-        mount = (1 - own)[:, None] * swing
+        mount = (1 - plane.own)[:, None] * swing
     whole = design[:, roots:]
     design = design.at[:, roots:].add(-along)
     allowed = _allowed(params, points, design, mount, hazy, slack, turned)
