@@ -4,6 +4,7 @@ import threading
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jaxest.files import refuse_existing
 from jaxest.io.checkpoint import load_state, save_state
 from jaxest.types import InputError, PyTree
 
@@ -46,6 +47,11 @@ class Keeper:
         self._failure = ""
         self._thread = threading.Thread(target=self._write_now_and_then, name="jaxest-checkpoint", daemon=True)
         if path is not None:
+            refuse_existing(path, overwrite=True)  # a folder that is not there is told now, not after hours
+
+    def start(self) -> None:
+        """Begin to write now and then."""
+        if self._path is not None:
             self._thread.start()
 
     @property

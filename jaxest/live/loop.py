@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxest.live import latency as lat
 from jaxest.live.keeper import Keeper
 from jaxest.live.measure import fields, measurement_of
 from jaxest.live.sources import Sample, Source
-from jaxest.types import Array, InputError, PyTree, Step
+from jaxest.types import OK, Array, InputError, PyTree, Step, status_message
 
 KEPT = 5  # messages
 
@@ -36,13 +37,15 @@ class Outcome(NamedTuple):
     late: int
     """Samples refused because their stamp was not after the one before."""
     broken: int
-    """Samples refused because they could not be read, or had unknown streams or other shapes."""
+    """Samples refused: they could not be read, had unknown streams or other shapes, or a stamp far ahead."""
+    flagged: int
+    """Steps whose info has a status other than 0."""
     masked: dict[str, int]
     """By stream, steps in which it had nothing usable to say."""
     latency: lat.Latency
     """From a sample at hand to its estimate being there."""
     messages: tuple[str, ...]
-    """The first few about what was refused, and why a checkpoint could not be written."""
+    """The first few about what was refused or flagged, and why a checkpoint could not be written."""
     ended: str
     """`the source ended`, `interrupted` or `enough`."""
 
@@ -57,7 +60,9 @@ def drive(
     key: Array | None = None,
     deadline: float = 1e-3,
     emit: Callable[[float, Any], None] | None = None,
+    tell: Callable[[str], None] | None = None,
     last: float | None = None,
+    gap: float = 60.0,
     save: Path | str | None = None,
     save_every: float = 10.0,
     limit: int | None = None,
@@ -65,8 +70,9 @@ def drive(
     """Step through samples as they come, until the source ends, Ctrl-C or SIGTERM.
 
     The step is compiled before the first sample is taken. A sample whose stamp is not after the one before is refused
-    and counted; so is one that cannot be read. A step beyond its deadline is counted and used all the same: skipping it
-    would lose a measurement. Numbers are those of `jaxest.filters.run` on the same measurements.
+    and counted; so is one that cannot be read, and one whose stamp is more than `gap` ahead, unless the next one agrees
+    with it: one wrong stamp must not make all later samples late. A step beyond its deadline is counted and used all
+    the same: skipping it would lose a measurement. Numbers are those of `jaxest.filters.run` on the same measurements.
 
     Args:
         step: an estimator's step.
@@ -77,7 +83,9 @@ def drive(
         key: key of the whole run, for steps that draw.
         deadline: s, for a step.
         emit: called with the stamp (s) and the info of each step, behind the clock.
+        tell: called with each message as it comes: what was refused and why, and the first step with a status.
         last: s, stamp of the last sample in `state`, where the run goes on from a checkpoint.
+        gap: s, longest silence after which a single sample is believed; above the slowest sensor's interval.
         save: file for checkpoints, replaced each time, whole or not at all; written every `save_every` seconds beside
             the loop, and at the end, whatever ends it. A checkpoint that cannot be written does not stop the loop.
         save_every: s.
@@ -87,10 +95,13 @@ def drive(
         The outcome.
 
     Raises:
-        ValueError: a deadline that is not positive.
+        ValueError: a deadline or a gap that is not positive.
+        InputError: a checkpoint cannot be written where `save` says.
     """
-    if not deadline > 0:
-        raise ValueError(f"deadline: got {deadline}, expected seconds above 0")
+    for name, seconds in (("deadline", deadline), ("gap", gap)):
+        if not seconds > 0:
+            raise ValueError(f"{name}: got {seconds}, expected seconds above 0")
+    keeper = Keeper(save, save_every)
     # Parameters are folded in: a call costs microseconds for every leaf that it is given.
     params = jax.tree.map(jnp.asarray, params)
     compiled = jax.jit(lambda state, measurement: step(params, state, measurement, key=key))
@@ -98,8 +109,8 @@ def drive(
     after, _ = jax.eval_shape(compiled, state, nothing)
     state = jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), state, after)  # not weakly typed: one program
     jax.block_until_ready(compiled(state, nothing))
-    tally = _Tally(state, last)
-    keeper = Keeper(save, save_every)
+    tally = _Tally(state, last, gap, tell)
+    keeper.start()
     try:
         with _stoppable() as stopped, _undisturbed():
             ended = _loop(compiled, source, template, tally, deadline, emit, keeper, stopped, limit)
@@ -108,24 +119,61 @@ def drive(
     if keeper.failure:
         tally.say(f"no checkpoint: {keeper.failure}")
     return Outcome(
-        tally.state, tally.time, tally.steps, tally.missed, tally.late, tally.broken, dict(tally.masked),
-        tally.latency, tuple(tally.messages), ended,
+        tally.state, tally.time, tally.steps, tally.missed, tally.late, tally.broken, tally.flagged,
+        dict(tally.masked), tally.latency, tuple(tally.messages), ended,
     )  # fmt: skip
 
 
 class _Tally:
     """What the loop counts; lives inside `drive` only."""
 
-    def __init__(self, state: PyTree, time: float | None) -> None:
+    def __init__(self, state: PyTree, time: float | None, gap: float, tell: Callable[[str], None] | None) -> None:
         self.state, self.time = state, time
-        self.steps = self.missed = self.late = self.broken = 0
+        self.steps = self.missed = self.late = self.broken = self.flagged = 0
         self.masked: Counter[str] = Counter()
         self.latency = lat.empty()
         self.messages: list[str] = []
+        self._gap, self._tell = gap, tell
+        self._ahead: float | None = None
 
     def say(self, message: str) -> None:
         if len(self.messages) < KEPT:
             self.messages.append(message)
+        if self._tell:
+            self._tell(message)
+
+    def refuse(self, message: str) -> None:
+        self.broken += 1
+        self.say(message)
+
+    def in_time(self, stamp: float) -> bool:
+        """Whether a sample with this stamp may be used; says so where not."""
+        if self.time is None:
+            return True
+        ahead, self._ahead = self._ahead, None
+        if not stamp > self.time:
+            self.late += 1
+            if self.steps:
+                self.say(f"sample at {stamp:.6f} s: not after the one before, {self.time:.6f} s; refused as late")
+            elif self.late == 1:
+                self.say(f"sample at {stamp:.6f} s: the state has seen all up to {self.time:.6f} s; these are refused")
+            return False
+        if stamp - self.time > self._gap and not (ahead is not None and 0 < stamp - ahead <= self._gap):
+            self._ahead = stamp
+            self.refuse(
+                f"sample at {stamp:.6g} s: more than {self._gap:g} s after the one before, {self.time:.6f} s; "
+                "refused, unless the next one agrees (gap= takes longer silences)"
+            )
+            return False
+        return True
+
+    def look(self, info: Any) -> None:
+        """Count a status other than 0."""
+        status = int(np.max(getattr(info, "status", OK)))
+        if status != OK:
+            self.flagged += 1
+            if self.flagged == 1:
+                self.say(f"step at {self.time:.6f} s: status {status} ({status_message(status)})")
 
 
 def _loop(
@@ -137,20 +185,16 @@ def _loop(
         if stopped.is_set():
             return "interrupted"
         if isinstance(item, str):
-            tally.broken += 1
-            tally.say(item)
+            tally.refuse(item)
         if not isinstance(item, Sample):
             continue
         begun = time.perf_counter()
-        if tally.time is not None and not item.time > tally.time:
-            tally.late += 1
-            tally.say(f"sample at {item.time:.6f} s: not after the one before, {tally.time:.6f} s; refused as late")
+        if not tally.in_time(item.time):
             continue
         try:
             measurement = measurement_of(template, item, 0.0 if tally.time is None else item.time - tally.time)
         except InputError as error:
-            tally.broken += 1
-            tally.say(str(error))
+            tally.refuse(str(error))
             continue
         tally.state, info = jax.block_until_ready(compiled(tally.state, measurement))
         took = time.perf_counter() - begun
@@ -158,6 +202,7 @@ def _loop(
         tally.latency = lat.counted(tally.latency, took)
         tally.missed += took > deadline
         tally.masked.update(name for name in names if not getattr(measurement, name).valid.all())
+        tally.look(info)
         keeper.offer(tally.state, item.time)
         if emit:
             emit(item.time, info)

@@ -1,4 +1,4 @@
-"""Where live samples come from: a queue of this process, a UDP port, a file that grows.
+"""Where live samples come from: a queue of this process, a UDP port, a file that grows, standard input or a pipe.
 
 A source is an iterator of `Sample`s that ends when there will be no more. It yields `IDLE` when nothing came for a
 while, so that whoever listens can look around, and a text where something came that is no sample.
@@ -7,21 +7,23 @@ On the wire and in files a sample is one line of JSON: the stamp `time` in secon
 null (nothing to say) for each stream: `{"time": 12.5, "gyroscope": [0.1, 0, 0], "accelerometer": [0, 0, 9.81]}`.
 """
 
-import contextlib
 import json
+import os
 import queue
+import select
 import socket
 import sys
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from jaxest.types import InputError
 
 LARGEST = 65535  # bytes of a datagram
 BUFFER = 2**22  # bytes that the system may hold while a step takes long; it grants what it allows
 LONGEST = 2**20  # characters of a line that is still to end
+PIECE = 2**16  # bytes read at once
 
 
 class Sample(NamedTuple):
@@ -152,29 +154,25 @@ def from_file(path: Path | str, *, follow: bool = True, wait: float = 0.005) -> 
         InputError: there is no such file and it is not followed, or it cannot be read.
     """
     path, number, rest, place = Path(path), 0, b"", None
-    file = None
-    with contextlib.ExitStack() as stack:
+    file: BinaryIO | None = None
+    try:
         while True:
             if file is None or _replaced(path, file, place):
-                try:
-                    file = stack.enter_context(path.open("rb"))
-                    place, number, rest = path.stat().st_ino, 0, b""
-                except FileNotFoundError:
-                    if not follow:
-                        raise InputError(f"{path}: no such file") from None
+                if file is not None:
+                    file.close()
+                file = _opened(path, follow)
+                if file is None:
                     yield IDLE
                     time.sleep(wait)
                     continue
-                except OSError as error:
-                    raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
-            piece = file.read(1 << 16)
+                place, number, rest = os.fstat(file.fileno()).st_ino, 0, b""
+            piece = file.read(PIECE)
             *lines, rest = (rest + piece).split(b"\n")
             for line in lines:
                 number += 1
                 if line.strip():
                     yield _sample_or_text(line, f"{path}: line {number}")
-            if len(rest) > LONGEST:
-                raise InputError(f"{path}: line {number + 1} has over {LONGEST} characters, expected JSON lines")
+            _refuse_endless(rest, f"{path}: line {number + 1}")
             if not piece:
                 if not follow:
                     if rest.strip():
@@ -182,6 +180,65 @@ def from_file(path: Path | str, *, follow: bool = True, wait: float = 0.005) -> 
                     return
                 yield IDLE
                 time.sleep(wait)
+    finally:
+        if file is not None:
+            file.close()
+
+
+def from_stream(stream: BinaryIO, *, wait: float = 0.1) -> Source:
+    """Read JSON lines from standard input, a pipe or a device, as they come; where it is closed, the source ends.
+
+    For POSIX: on Windows only sockets can be waited for.
+
+    Args:
+        stream: an open binary file, such as `sys.stdin.buffer` or `open("/dev/ttyUSB0", "rb", buffering=0)`. What
+            somebody has read of it before is gone.
+        wait: s, between two `IDLE`s while nothing comes.
+
+    Yields:
+        Samples; a text for a line that is none; `IDLE` where none came.
+
+    Raises:
+        InputError: a line that does not end, or the stream cannot be read.
+    """
+    number, rest, place = 0, b"", getattr(stream, "name", "stream")
+    while True:
+        try:
+            if not select.select([stream], [], [], wait)[0]:
+                yield IDLE
+                continue
+            piece = os.read(stream.fileno(), PIECE)  # what is there; a buffered read would wait for all of it
+        except OSError as error:
+            raise InputError(f"{place}: cannot be read ({error.strerror or error})") from error
+        *lines, rest = (rest + piece).split(b"\n")
+        if not piece:
+            lines = [rest]
+        for line in lines:
+            number += 1
+            if line.strip():
+                yield _sample_or_text(line, f"{place}: line {number}")
+        if not piece:
+            return
+        _refuse_endless(rest, f"{place}: line {number + 1}")
+
+
+def _opened(path: Path, follow: bool) -> BinaryIO | None:
+    """Return the open file, or None where there is none yet."""
+    try:
+        if path.exists() and not path.is_dir() and not path.is_file():
+            raise InputError(f"{path}: is a pipe or a device, expected a file; open it and take live.from_stream")
+        return path.open("rb")
+    except FileNotFoundError:
+        if not follow:
+            raise InputError(f"{path}: no such file") from None
+        return None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def _refuse_endless(rest: bytes, place: str) -> None:
+    if len(rest) > LONGEST:
+        raise InputError(f"{place} has over {LONGEST} characters, expected JSON lines")
 
 
 def _replaced(path: Path, file: Any, inode: int | None) -> bool:
@@ -200,4 +257,4 @@ def _sample_or_text(line: bytes, place: str) -> Sample | str:
         return str(error)
 
 
-__all__ = ["IDLE", "Sample", "Source", "from_file", "from_queue", "from_udp", "parse"]
+__all__ = ["IDLE", "Sample", "Source", "from_file", "from_queue", "from_stream", "from_udp", "parse"]

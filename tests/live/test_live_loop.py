@@ -9,6 +9,8 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -136,6 +138,12 @@ def test_a_run_goes_on_from_its_checkpoint(imu, tmp_path):
     assert jax.tree.all(jax.tree.map(np.array_equal, whole.state, outcome.state))
 
 
+def test_what_a_state_has_seen_is_told_once():
+    outcome = counted(range(9), last=4.0)
+    assert (outcome.steps, outcome.late) == (4, 5)
+    assert outcome.messages == ("sample at 0.000000 s: the state has seen all up to 4.000000 s; these are refused",)
+
+
 def test_a_failing_source_leaves_a_checkpoint(imu, tmp_path):
     def failing():
         yield from samples(*imu[2:])[:5]
@@ -148,10 +156,65 @@ def test_a_failing_source_leaves_a_checkpoint(imu, tmp_path):
 
 
 def test_a_checkpoint_that_cannot_be_written_is_told_and_stops_nothing(imu, tmp_path):
-    (tmp_path / "file").write_text("")
-    outcome, _ = driven(imu, iter(samples(*imu[2:])), save=tmp_path / "file" / "state.npz", save_every=0.01)
+    folder = tmp_path / "kept"
+    folder.mkdir()
+
+    def source():
+        folder.rmdir()
+        yield from samples(*imu[2:])
+
+    outcome, _ = driven(imu, source(), save=folder / "state.npz", save_every=100.0)
     assert outcome.steps == STEPS
     assert "no checkpoint" in outcome.messages[-1]
+
+
+class Seen(NamedTuple):
+    """Info of a step that only adds up; its compilation costs next to nothing."""
+
+    total: object
+    status: object
+
+
+def added(params, state, measurement, *, key=None):
+    total = state + measurement.dt
+    return total, Seen(total, jnp.where(measurement.gyroscope.value[0] > 10, 1, 0))
+
+
+def counted(stamps, turning=(), **options):
+    source = (live.Sample(float(t), {"gyroscope": [99 if t in turning else 1, 0, 0]}) for t in stamps)
+    return live.drive(added, None, jnp.float32(0), source, template(), deadline=10.0, **options)
+
+
+def test_a_folder_that_is_not_there_is_told_before_the_first_sample(tmp_path):
+    with pytest.raises(InputError, match="its folder does not exist"):
+        counted([1], save=tmp_path / "none" / "state.npz")
+
+
+@pytest.mark.parametrize("wrong", [(1e15,), (1e300, 1e15), (3 + 61,)])
+def test_a_wrong_stamp_does_not_make_all_later_samples_late(wrong):
+    told = []
+    outcome = counted([1, 2, 3, *wrong, 4, 5], tell=told.append)
+    assert (outcome.steps, outcome.late, outcome.broken, outcome.time) == (5, 0, len(wrong), 5)
+    assert float(outcome.state) == 4
+    assert "more than 60 s after the one before" in outcome.messages[0]
+    assert tuple(told) == outcome.messages
+
+
+def test_after_a_long_silence_the_second_sample_is_believed():
+    stamps = [1, 2, 1002, 1003, 1004]
+    outcome = counted(stamps)
+    assert (outcome.steps, outcome.broken, outcome.time, float(outcome.state)) == (4, 1, 1004, 1003)
+    patient = counted(stamps, gap=2000.0)
+    assert (patient.steps, patient.broken, float(patient.state)) == (5, 0, 1003)
+    with pytest.raises(ValueError, match="gap: got 0"):
+        counted(stamps, gap=0.0)
+
+
+def test_a_step_with_a_status_is_counted_and_the_first_is_told():
+    outcome = counted(range(6), turning=(2, 4))
+    assert (outcome.steps, outcome.flagged) == (6, 2)
+    (message,) = outcome.messages
+    assert message.startswith("step at 2.000000 s: status 1 (")
 
 
 CODE = """
@@ -232,6 +295,43 @@ def test_a_file_that_is_replaced_is_read_from_its_start(tmp_path):
     path.write_text('{"time": 3}\n')
     found = next(item for item in source if item is not live.IDLE)
     assert found.time == 3
+
+
+def test_a_file_that_is_replaced_again_and_again_stays_one_open_file(tmp_path):
+    path = tmp_path / "log.jsonl"
+    open_files = Path("/proc/self/fd")
+    if not open_files.exists():
+        pytest.skip("this system does not tell which files are open")
+    source, before = live.from_file(path, wait=0), len(list(open_files.iterdir()))
+    for i in range(20):
+        (tmp_path / "new").write_text(f'{{"time": {i}}}\n')
+        (tmp_path / "new").replace(path)
+        assert next(item for item in source if item is not live.IDLE).time == i
+    assert len(list(open_files.iterdir())) <= before + 1
+    source.close()
+    assert len(list(open_files.iterdir())) <= before
+
+
+def test_a_pipe_is_read_as_it_comes_until_it_is_closed(imu):
+    good = samples(*imu[2:])
+    lines = [json.dumps({"time": one.time, **one.values}).encode() for one in good]
+    out, into = os.pipe()
+    with os.fdopen(out, "rb") as reading:
+        source = live.from_stream(reading, wait=0.01)
+        assert next(source) is live.IDLE
+        os.write(into, lines[0] + b"\nnoise\n" + lines[1][:20])
+        assert next(source).time == good[0].time  # though the second line is not whole
+        assert "line 2: not a line of JSON" in next(source)
+        assert next(source) is live.IDLE
+        os.write(into, lines[1][20:] + b"\n" + lines[2])
+        os.close(into)
+        assert [item.time for item in source] == [good[1].time, good[2].time]
+
+
+def test_a_pipe_that_is_taken_for_a_file_is_named(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InputError, match=r"is a pipe or a device.*from_stream"):
+        next(live.from_file(tmp_path / "pipe"))
 
 
 def test_histogram_against_numpy():
