@@ -18,6 +18,7 @@ from jaxest.types import InputError, listed
 
 LONG = 100
 """Columns of a matrix of few rows from which on these are taken for its samples."""
+_NO_JOINTS = {"heading", "course", "azimuth", "elevation", "lat", "lon", "latitude", "longitude", "phase"}
 _EULER = {"roll", "pitch", "yaw", "heading"}
 
 
@@ -143,6 +144,7 @@ def _streams(raw: Raw, words: dict[str, Word], assumed: list[str], unsure: list[
             _add(found, _named(kind, value), column._replace(names=joints), value, owner, unsure)
         else:
             rest += names
+    rest = _joints_by_unit(raw, words, rest, found, assumed)
     rows = {len(entry.value) for entry in found.values()} | clocks
     for name in rest:
         value = raw.arrays[name]
@@ -150,6 +152,22 @@ def _streams(raw: Raw, words: dict[str, Word], assumed: list[str], unsure: list[
             _add(found, name.strip("/") or "column", Column(array=name), value, words[name].owner, unsure, named=True)
             assumed.append(f"{name}: kept as a stream of its own, unit not known")
     return found
+
+
+def _joints_by_unit(
+    raw: Raw, words: dict[str, Word], rest: list[str], found: dict[str, _Found], assumed: list[str]
+) -> list[str]:
+    """Take columns called by a name and a unit of angles (`lift_deg`, `knee_deg`) for joints; return the rest."""
+    angles = [n for n in rest if words[n].owner and words[n].unit and units.lookup(words[n].unit).si == "rad"]
+    angles = [n for n in angles if raw.arrays[n].ndim == 1 and not words[n].component]
+    called = [words[n].owner for n in angles]
+    alike = len({words[n].unit for n in angles}) == 1 and _equal(raw, angles)
+    if "joint_position" in found or len(angles) < 2 or not alike or _NO_JOINTS & set(called) or set(called) <= _EULER:
+        return rest
+    column = Column(columns=tuple(angles), unit=words[angles[0]].unit, names=tuple(called))
+    found["joint_position"] = _Found(column, np.stack([raw.arrays[n] for n in angles], axis=-1), "")
+    assumed.append(f"joint_position: {listed(angles)} taken for angles of joints, by their unit")
+    return [n for n in rest if n not in angles]
 
 
 def _called(name: str, word: Word) -> str:
@@ -251,7 +269,7 @@ def _clock(raw: Raw, words: dict[str, Word], name: str, entry: _Found, assumed: 
         likely = f"; {time_unit} is likely" if time_unit else ""
         unsure.append(f"{name}: the unit of its stamps {column.time!r} is open (median step {step:g}){likely}")
     elif time_unit != "s":
-        assumed.append(f"{name}: stamps {column.time!r} taken as {time_unit}")
+        assumed.append(f"stamps {column.time!r} taken as {time_unit}")
     return column._replace(time_unit=time_unit)
 
 
@@ -287,10 +305,13 @@ def _with_unit(raw: Raw, name: str, streams: dict[str, _Found], assumed: list[st
     elif kind == "magnetometer":
         unit = plausible.field_unit(value)
     elif kind == "gyroscope" and acc is not None:
-        turned = plausible.in_degrees(plausible.rate_check(_seconds(raw, column, len(value)), value, acc))
+        turned = _in_degrees(raw, name, streams)
         unit = "deg/s" if turned else unit
         if turned is None and plausible.too_fast(value):
             unit = _degrees(name, unsure)
+        elif turned is None and (others := _as_others(raw, name, streams)):
+            assumed.append(f"{name}: its motion does not tell its unit, taken from {others}")
+            unit = "deg/s"
     elif kind == "gyroscope" and plausible.too_fast(value):
         unit = _degrees(name, unsure)
     elif kind == "joint_position" and (most := _largest(value)) > 4 * np.pi:
@@ -305,6 +326,24 @@ def _with_unit(raw: Raw, name: str, streams: dict[str, _Found], assumed: list[st
             column = column._replace(order="xyzw")
     assumed.append(f"{name}: unit {unit or 'unknown'} assumed")
     return column._replace(unit=unit)
+
+
+def _in_degrees(raw: Raw, name: str, streams: dict[str, _Found]) -> bool | None:
+    """Say whether a gyroscope is in deg/s by how its accelerometer turned; None where this does not tell."""
+    column, value, _ = streams[name]
+    partner = f"{name.removesuffix('gyroscope')}accelerometer"
+    if partner not in streams or len(streams[partner].value) != len(value):
+        return None
+    seconds = _seconds(raw, column, len(value))
+    return plausible.in_degrees(plausible.rate_check(seconds, value, streams[partner].value))
+
+
+def _as_others(raw: Raw, name: str, streams: dict[str, _Found]) -> str:
+    """Return which other gyroscope of the file is in deg/s, where all that tell are: one logger writes one unit."""
+    others = [n for n in streams if units.kind_of(n) == "gyroscope" and n != name and not streams[n].column.unit]
+    told = {n: _in_degrees(raw, n, streams) for n in others}
+    known = [n for n, degrees in told.items() if degrees is not None]
+    return known[0] if known and all(told[n] for n in known) else ""
 
 
 def _degrees(name: str, unsure: list[str]) -> str:

@@ -49,6 +49,7 @@ _OF_ANGLES = {"rad": (("pos", "position", "angle", "winkel"), "joint_position"),
 """Words that speak of a joint where the name states such a unit: `shoulder_pos [deg]`."""
 _EMPTY = {"raw", "data", "imu", "field", "sensor", "meas", "measured", "value", "values", "joint", "joints", "ros",
           "elapsed", "date", "utc", "unix", "epoch"}  # fmt: skip
+_ENCODERS = ("enc", "encoder", "encoders")
 _SHORT = ("g", "a", "m", "w", "q", "gyr", "gyro", "acc", "accel", "mag", "quat", "dq", "qd", "ddq", "tau", "omega")
 _UNIT_TOKENS = {
     "dps": "deg/s", "deg": "deg", "rad": "rad", "rads": "rad/s", "degs": "deg/s", "ut": "uT", "nt": "nT", "nm": "Nm",
@@ -57,6 +58,12 @@ _UNIT_TOKENS = {
     "millis": "ms", "micros": "us", "nanos": "ns",
 }  # fmt: skip
 _BARE = ("sec", "ms", "us", "ns")  # what a clock is called that is called by its unit and nothing else
+_LONG_UNITS = {"deg_s": "deg/s", "deg_per_s": "deg/s", "rad_s": "rad/s", "rad_per_s": "rad/s", "m_s2": "m/s2",
+               "m_s_2": "m/s2", "m_per_s2": "m/s2"}  # fmt: skip
+_BEHIND_AXES = {unit.lower(): unit for unit in ("m", "cm", "mm", "uT", "nT", "mT", "g", "rad", "deg")}
+_BEHIND_AXES |= {"dps": "deg/s", "degs": "deg/s", "rads": "rad/s", "ms2": "m/s2", "gauss": "G"}
+_LONG = re.compile(rf"^(.*[^\W_])[\W_]+({'|'.join(_LONG_UNITS)})$", re.IGNORECASE)
+_BEHIND = re.compile(rf"^((?:.*[\W_])?[wxyz])[\W_]+({'|'.join([*_BEHIND_AXES, 'mg'])})$", re.IGNORECASE)
 _CLOCKS = ("seconds", "milliseconds", "microseconds", "nanoseconds", "millis", "micros", "nanos")
 _AXES = ("w", "x", "y", "z")
 
@@ -74,6 +81,8 @@ def classify(name: str) -> Word:
     unit = ""
     if bracket:
         unit, name = bracket.group(1).strip(), name[: bracket.start()]
+    else:
+        name, unit = _unit_behind(name)
     tokens = [t.lower() for t in re.findall(r"[A-Z]+(?![a-z])[0-9]*|[A-Z]?[a-z]+[0-9]*|[0-9]+", name)]
     if len(tokens) == 1 and tokens[0] in _BARE and not unit:
         return Word("time", "", "", _UNIT_TOKENS[tokens[0]])
@@ -82,6 +91,9 @@ def classify(name: str) -> Word:
     tokens, kind = _kind(tokens, component)
     if not kind and tokens[-1:] == ["joint"]:  # `arm_j0`, `elbow_joint`: a robot's joint by its name
         kind, tokens, component = ("joint_position", tokens, component) if component else _by_name(tokens)
+    if not kind and tokens[:1] and tokens[0] in _ENCODERS:  # `enc_elbow`, `encoder_3`
+        kind, component = "joint_position", component or "_".join(t for t in tokens[1:] if t not in _UNIT_TOKENS)
+        tokens = [t for t in tokens[1:] if t in _UNIT_TOKENS]
     if kind == "time" and not unit:  # a clock may be called by its unit: `millis`
         unit = next((_UNIT_TOKENS[t] for t in before if t in _CLOCKS), "")
     if not unit and tokens and _fits(kind, _UNIT_TOKENS.get(tokens[-1], "")):
@@ -93,6 +105,18 @@ def classify(name: str) -> Word:
     # A word that says the kind once more is nobody's name: `Quat_q0`, `time_stamp`.
     owner = [t for t in tokens if t not in _EMPTY and not (_OF.get(t) == kind and len(t) > 1) and not _again(t, kind)]
     return Word(kind, "_".join(owner), component, unit)
+
+
+def _unit_behind(name: str) -> tuple[str, str]:
+    """Split off a unit that is several words, or stands behind an axis: `gyr_x_deg_s`, `acc_x_g`, `tool_x_mm`."""
+    found = _LONG.match(name)
+    if found:
+        return found.group(1), _LONG_UNITS[found.group(2).lower()]
+    found = _BEHIND.match(name)
+    if not found:
+        return name, ""
+    unit = found.group(2)
+    return found.group(1), unit if unit in units.UNITS else _BEHIND_AXES.get(unit.lower(), "")
 
 
 def _again(token: str, kind: str) -> bool:

@@ -29,6 +29,16 @@ RNG = np.random.default_rng(0)
         ("acc_g", ("accelerometer", "", "", "g")),
         ("gyro_dps", ("gyroscope", "", "", "deg/s")),
         ("mag x [uT]", ("magnetometer", "", "x", "uT")),
+        ("gyro_x_dps", ("gyroscope", "", "x", "dps")),
+        ("wrist_gyro_x_deg_s", ("gyroscope", "wrist", "x", "deg/s")),
+        ("acc_x_m_s2", ("accelerometer", "", "x", "m/s2")),
+        ("acc_x_g", ("accelerometer", "", "x", "g")),
+        ("mag_x_uT", ("magnetometer", "", "x", "uT")),
+        ("mag_y_mG", ("magnetometer", "", "y", "mG")),
+        ("hook_z_mm", ("", "hook", "z", "mm")),
+        ("max_g", ("", "max", "", "g")),
+        ("enc_elbow", ("joint_position", "", "elbow", "")),
+        ("encoder_3", ("joint_position", "", "3", "")),
         ("qw", ("orientation", "", "w", "")),
         ("q3", ("joint_position", "", "3", "")),
         ("right_j0", ("joint_position", "right", "0", "")),
@@ -195,6 +205,35 @@ def test_joints_by_their_names_and_a_point_in_millimetres(tmp_path):
     rows = np.c_[time, tool].tolist()
     (tmp_path / "imu.csv").write_text("\n".join([",".join(["t", *euler]), *(",".join(map(repr, row)) for row in rows)]))
     assert list(read(tmp_path / "imu.csv").streams) == euler
+
+
+def test_columns_called_by_joints_and_a_unit_of_angles_are_joints(tmp_path):
+    time, angles = np.arange(N) / 10, RNG.normal(size=(N, 2)) * 50
+    for names, stream in (
+        (["lift_deg", "knee_deg"], "joint_position"),
+        (["latitude_deg", "longitude_deg"], None),
+        (["roll_deg", "pitch_deg"], None),
+        (["lift_deg", "knee_rad"], None),
+    ):
+        rows = [",".join(map(repr, row)) for row in np.c_[time, angles].tolist()]
+        (tmp_path / "log.csv").write_text("\n".join([",".join(["t", *names]), *rows]))
+        log = read(tmp_path / "log.csv")
+        assert list(log.streams) == ([stream] if stream else names)
+        if stream:
+            assert log.streams[stream].names == ("lift", "knee")
+            np.testing.assert_allclose(log.streams[stream].value, np.deg2rad(angles))
+            assert any("lift_deg, knee_deg taken for angles of joints" in note for note in log.notes)
+
+
+def test_a_gyroscope_whose_motion_does_not_tell_its_unit_has_that_of_the_others(tmp_path):
+    time, gyr, acc, _ = swinging()
+    upright, turning = np.tile([0, 0, 9.80665], (len(time), 1)), np.tile([0, 0, 20.0], (len(time), 1))
+    arrays = {"mast_gyr": turning, "mast_acc": upright, "boom_gyr": np.rad2deg(gyr), "boom_acc": acc}
+    found = propose(save(tmp_path, t=time, **arrays))
+    assert found.table.streams["mast/gyroscope"].unit == found.table.streams["boom/gyroscope"].unit == "deg/s"
+    assert any("mast/gyroscope: its motion does not tell" in line for line in found.assumed)
+    found = propose(save(tmp_path, t=time, **arrays | {"boom_gyr": gyr}))
+    assert found.table.streams["mast/gyroscope"].unit == "rad/s"
 
 
 def test_joints_in_degrees_and_matrices_of_rows_for_axes_are_asked(tmp_path):
