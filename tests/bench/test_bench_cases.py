@@ -85,6 +85,7 @@ def test_logs(peers):
 def test_live():
     within, *steps, lost, grown = bench.rows("live", small=True)
     assert 0 <= within.value <= 100
+    assert 0 <= within.reference <= 100
     assert [row.value for row in steps] == sorted(row.value for row in steps)
     assert within.n + lost.value == 500
     assert grown.unit == "MiB"
