@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from jaxest.bench import attitude_peers
 from jaxest.bench.harness import Progress, find_peer
 from jaxest.filters import attitude, complementary, run
-from jaxest.filters.complementary import Imu
+from jaxest.filters.imu import Imu
 from jaxest.io import read
 from jaxest.io.report import Row
 from jaxest.metrics import broad_rmse_deg

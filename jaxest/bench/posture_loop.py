@@ -13,7 +13,7 @@ def pairs(samples: Any, edges: Sequence[tuple[int, int]], gains: tuple[float, fl
     """Run the filter of IMU pairs with magnetometers over one recording.
 
     Args:
-        samples: `complementary.Imu`, leaves (T, n, ...), all valid.
+        samples: `imu.Imu`, leaves (T, n, ...), all valid.
         edges: first and second IMU of each pair.
         gains: proportional, 1/s, and integral, 1/s^2.
 
@@ -42,7 +42,7 @@ def posture(model: Any, sites: Sequence[int], samples: Any, gains: tuple[float, 
     Args:
         model: `mujoco.MjModel`, without coupled joints.
         sites: where the IMUs are.
-        samples: `complementary.Imu`, leaves (T, n, ...), all valid, with magnetometers.
+        samples: `imu.Imu`, leaves (T, n, ...), all valid, with magnetometers.
         gains: proportional, 1/s, and integral, 1/s^2.
 
     Returns:

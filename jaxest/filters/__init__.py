@@ -1,10 +1,10 @@
 """Recursive estimators, each one step written for one item, and the driver that scans them.
 
 Start with `run`: it drives every estimator over T measurements and keeps what `full`, `last` or `every(k)` ask for.
-An estimator is a file: `complementary` gives the orientation of one IMU, `complementary_covariance` how well it is
-known, `pair` the rotation between two. Parameters, state, measurement and `init` / `step` live there; batches are the
-caller's `vmap`. `attitude` holds more accurate filters of one IMU, and a smoother. `kalman` makes both of any model on
-a product manifold.
+An estimator is a file: parameters, state, measurement and `init` / `step` live there; batches are the caller's `vmap`.
+`imu` is the measurement of one IMU, `complementary` gives its orientation, `complementary_covariance` how well that is
+known, `pair` the rotation between two IMUs. `attitude` holds more accurate filters of one IMU, and a smoother. `kalman`
+makes both of any model on a product manifold.
 
 `savitzky_golay` smooths and differentiates on real time stamps, `bingham_linear` finds the rotation between two gyros,
 `rls` solves for three unknowns as observations come. `particle` follows any noise and any likelihood with particles,
@@ -19,6 +19,7 @@ from jaxest.filters import (
     bingham_linear,
     complementary,
     complementary_covariance,
+    imu,
     kalman,
     pair,
     particle,
@@ -38,6 +39,7 @@ __all__ = [
     "complementary_covariance",
     "every",
     "full",
+    "imu",
     "kalman",
     "last",
     "pair",

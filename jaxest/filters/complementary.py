@@ -10,10 +10,10 @@ Source: Santaera 2015, Algorithm 1, after Mahony, Hamel, Pflimlin 2008; the inte
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 
+from jaxest.filters.imu import Imu, Sample, directed, direction, imu, usable
 from jaxest.manifolds import quaternion as quat
-from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
+from jaxest.types import Array, ArrayLike
 
 
 class Params(NamedTuple):
@@ -27,19 +27,6 @@ class Params(NamedTuple):
     """() weight of the accelerometer's direction, without unit."""
     lambda_mag: ArrayLike = 1.0
     """() weight of the magnetometer's direction, without unit."""
-
-
-class Imu(NamedTuple):
-    """One sample of an IMU; any sensor may be missing at any step."""
-
-    gyroscope: Reading
-    """value (3,) rad/s, in the sensor frame."""
-    accelerometer: Reading
-    """value (3,) m/s^2, specific force in the sensor frame (only its direction counts)."""
-    magnetometer: Reading | None
-    """value (3,) in the sensor frame, any unit (only its direction counts); None if there is no such sensor."""
-    dt: ArrayLike
-    """() s, time since the previous step."""
 
 
 class State(NamedTuple):
@@ -72,25 +59,6 @@ class Info(NamedTuple):
     """() bool, whether each vector sensor has set its part of the orientation yet."""
     status: Array
     """() int32, `OK` or `NON_FINITE`; see `jaxest.types.status_message`."""
-
-
-def imu(gyroscope: Any, accelerometer: Any, magnetometer: Any = None, *, dt: Any) -> Imu:
-    """Bundle arrays into a measurement in which every sample is valid.
-
-    Args:
-        gyroscope: (..., 3) rad/s.
-        accelerometer: (..., 3) m/s^2.
-        magnetometer: (..., 3) any unit, or None.
-        dt: () or (...) s, time since the previous sample.
-
-    Returns:
-        The measurement with the leading axes of `gyroscope`.
-    """
-    batch = np.shape(gyroscope)[:-1]
-    there: Any = np.ones(batch, bool) if batch else np.True_  # a scalar reaches the device sooner
-    field = None if magnetometer is None else Reading(magnetometer, there)
-    dt = dt if np.shape(dt) == batch else np.broadcast_to(np.asarray(dt), batch)
-    return Imu(Reading(gyroscope, there), Reading(accelerometer, there), field, dt)
 
 
 def init(params: Params, *, key: Array | None = None) -> State:
@@ -175,109 +143,46 @@ def step(
     """
     dtype = state.quaternion.dtype
     k_p, k_i, lambda_acc, lambda_mag = (jnp.asarray(x, dtype) for x in params)
-    sample, used, status = usable(measurement, dtype)
-    error_acc, error_mag = _errors(state, sample, used)
+    sample = directed(usable(measurement, dtype))
+    error_acc, error_mag = _errors(state, sample)
     error = lambda_acc * error_acc + lambda_mag * error_mag
     bias = state.bias - k_i * error * sample.dt
-    rate = jnp.where(used.gyroscope, sample.gyroscope - bias, 0) + k_p * error
+    rate = jnp.where(sample.gyroscope.valid, sample.gyroscope.value - bias, 0) + k_p * error
     moved = update(state.quaternion, rate, sample.dt)
-    quaternion, initialized, heading_initialized = _initialize(state, moved, sample, used)
+    quaternion, initialized, heading_initialized = _initialize(state, moved, sample)
     valid = initialized if measurement.magnetometer is None else initialized & heading_initialized
     next_state = State(quaternion, bias, state.index + 1, initialized, heading_initialized)
-    return next_state, Info(quaternion, bias, error_acc, error_mag, valid, status)
+    return next_state, Info(quaternion, bias, error_acc, error_mag, valid, sample.status)
 
 
-class Sample(NamedTuple):
-    """The usable part of a measurement: rates, unit vectors and dt, or which of them may be used."""
-
-    gyroscope: Array
-    """(3,) rad/s, 0 where missing; or () bool."""
-    accelerometer: Array
-    """(3,) unit vector, 0 where missing; or () bool."""
-    magnetometer: Array
-    """(3,) unit vector, 0 where missing; or () bool."""
-    dt: Array
-    """() s, 0 where not finite; or () bool."""
-
-
-def usable(measurement: Imu, dtype: Any) -> tuple[Sample, Sample, Array]:
-    """Split a measurement into finite values, which of them may be used, and the status.
-
-    Args:
-        measurement: one sample.
-        dtype: floating type of the values.
-
-    Returns:
-        The values (vector sensors normalised), the flags, and the status: `NON_FINITE` where a valid value was not
-        finite.
-
-    Raises:
-        ValueError: a sensor's value is not (3,), or `valid` or `dt` is not a scalar.
-    """
-    dt = _shaped("dt", measurement.dt, (), dtype)
-    timed = jnp.isfinite(dt)
-    dt = jnp.where(timed, dt, 0)
-    values, flags, bad = [], [], [~timed]
-    for name in ("gyroscope", "accelerometer", "magnetometer"):
-        reading = getattr(measurement, name)
-        if reading is None:
-            value, flag = jnp.zeros(3, dtype), jnp.zeros((), bool)
-        else:
-            value, flag = _shaped(name, reading.value, (3,), dtype), _shaped(f"{name}.valid", reading.valid, (), bool)
-            square = jnp.sum(value * value)
-            # A square that overflows cannot be normalised either, nor a turn over the step that has one.
-            finite = jnp.isfinite(16 * square * dt * dt if name == "gyroscope" else square)
-            bad.append(flag & ~finite)
-            flag = flag & finite
-            value = jnp.where(flag, value, 0)
-        if name != "gyroscope":
-            value, flag = _direction(value)
-        values.append(value)
-        flags.append(flag)
-    status = jnp.where(jnp.any(jnp.stack(bad)), NON_FINITE, OK).astype(jnp.int32)
-    return Sample._make([*values, dt]), Sample._make([*flags, timed]), status
-
-
-def _shaped(name: str, value: Any, shape: tuple[int, ...], dtype: Any) -> Array:
-    array = jnp.asarray(value, dtype)
-    if array.shape != shape:
-        raise ValueError(f"measurement.{name}: got shape {array.shape}, expected {shape}; vmap or run adds other axes")
-    return array
-
-
-def _direction(vector: Array) -> tuple[Array, Array]:
-    """Unit vector and whether there is one; the zero vector (missing, or free fall) gives zero."""
-    square = jnp.sum(vector * vector)
-    there = square > 0
-    return vector / jnp.sqrt(jnp.where(there, square, 1)), there
-
-
-def _errors(state: State, sample: Sample, used: Sample) -> tuple[Array, Array]:
+def _errors(state: State, sample: Sample) -> tuple[Array, Array]:
     """Innovations in the sensor frame, measured x predicted (steps 3 to 6)."""
+    acc, mag = sample.accelerometer, sample.magnetometer
     back = quat.inverse(state.quaternion)
     up = quat.rotate(back, jnp.array([0, 0, 1], sample.dt.dtype))
-    error_acc = jnp.cross(sample.accelerometer, up)
-    field = quat.rotate(state.quaternion, sample.magnetometer)
+    error_acc = jnp.cross(acc.value, up)
+    field = quat.rotate(state.quaternion, mag.value)
     square = field[0] * field[0] + field[1] * field[1]
     there = square > 0
     north = jnp.where(there, jnp.sqrt(jnp.where(there, square, 1)), 0)
     reference = jnp.stack([jnp.zeros_like(north), north, field[2]])
-    error_mag = jnp.cross(sample.magnetometer, quat.rotate(back, reference))
+    error_mag = jnp.cross(mag.value, quat.rotate(back, reference))
     return (
-        jnp.where(state.initialized & used.accelerometer, error_acc, 0),
-        jnp.where(state.initialized & state.heading_initialized & used.magnetometer, error_mag, 0),
+        jnp.where(state.initialized & acc.valid, error_acc, 0),
+        jnp.where(state.initialized & state.heading_initialized & mag.valid, error_mag, 0),
     )
 
 
-def _initialize(state: State, moved: Array, sample: Sample, used: Sample) -> tuple[Array, Array, Array]:
+def _initialize(state: State, moved: Array, sample: Sample) -> tuple[Array, Array, Array]:
     """The next quaternion, set by the first samples of the vector sensors instead of moved."""
-    level = quat.from_two_vectors(sample.accelerometer, jnp.array([0, 0, 1], moved.dtype))
-    initialized = state.initialized | used.accelerometer
-    quaternion = jnp.where(state.initialized, moved, jnp.where(used.accelerometer, level, state.quaternion))
-    east, north, _ = quat.rotate(quaternion, sample.magnetometer)
-    horizontal, there = _direction(jnp.stack([east, north, jnp.zeros_like(east)]))
+    acc, mag = sample.accelerometer, sample.magnetometer
+    level = quat.from_two_vectors(acc.value, jnp.array([0, 0, 1], moved.dtype))
+    initialized = state.initialized | acc.valid
+    quaternion = jnp.where(state.initialized, moved, jnp.where(acc.valid, level, state.quaternion))
+    east, north, _ = quat.rotate(quaternion, mag.value)
+    horizontal = direction(jnp.stack([east, north, jnp.zeros_like(east)]))
     heading = quat.from_two_vectors(horizontal, jnp.array([0, 1, 0], moved.dtype))
-    first = ~state.heading_initialized & initialized & used.magnetometer & there
+    first = ~state.heading_initialized & initialized & mag.valid & jnp.any(horizontal != 0)
     quaternion = jnp.where(first, quat.compose(heading, quaternion), quaternion)
     return quaternion, initialized, state.heading_initialized | first
 
@@ -286,12 +191,10 @@ __all__ = [
     "Imu",
     "Info",
     "Params",
-    "Sample",
     "State",
     "exponential",
     "imu",
     "init",
     "projection",
     "step",
-    "usable",
 ]

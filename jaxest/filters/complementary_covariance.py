@@ -19,6 +19,7 @@ import jax.numpy as jnp
 
 from jaxest.filters import complementary
 from jaxest.filters._small import finite
+from jaxest.filters.imu import Imu, Sample, directed, usable
 from jaxest.manifolds import quaternion as quat
 from jaxest.types import OUT_OF_RANGE, Array, ArrayLike, Step
 
@@ -119,9 +120,7 @@ def with_covariance(step: Step = complementary.step) -> Step:
         `(Params, State, Imu) -> (State, Info)` of this module; the estimates are those of `step`.
     """
 
-    def stepped(
-        params: Params, state: State, measurement: complementary.Imu, *, key: Array | None = None
-    ) -> tuple[State, Info]:
+    def stepped(params: Params, state: State, measurement: Imu, *, key: Array | None = None) -> tuple[State, Info]:
         after, info = step(params.filter, state.filter, measurement, key=key)
         dtype = state.covariance.dtype
         noise = Noise._make(jnp.asarray(x, dtype) for x in params.noise)
@@ -135,21 +134,22 @@ def with_covariance(step: Step = complementary.step) -> Step:
     return stepped
 
 
-def _propagate(params: complementary.Params, noise: Any, state: State, measurement: complementary.Imu) -> Array:
+def _propagate(params: complementary.Params, noise: Any, state: State, measurement: Imu) -> Array:
     """One step of the linearised error dynamics; a sum of squares, so it stays positive without further care."""
     dtype = state.covariance.dtype
     k_p, k_i, lambda_acc, lambda_mag = (jnp.asarray(x, dtype) for x in params)
-    sample, used, _ = complementary.usable(measurement, dtype)
+    sample = directed(usable(measurement, dtype))
+    gyro = sample.gyroscope
     dt, one = sample.dt, jnp.eye(3, dtype=dtype)
-    level, across = _observed(state.filter, sample, used)
+    level, across = _observed(state.filter, sample)
     seen = lambda_acc * level + lambda_mag * across
-    shaken = _movement(noise, measurement, used, dtype)
+    shaken = _movement(noise, measurement, sample.accelerometer.valid, dtype)
     inflow = lambda_acc**2 * (noise.accelerometer**2 + shaken) * level + lambda_mag**2 * noise.magnetometer**2 * across
-    rate = jnp.where(used.gyroscope, sample.gyroscope - state.filter.bias, 0)
+    rate = jnp.where(gyro.valid, gyro.value - state.filter.bias, 0)
     wrong = noise.gyroscope**2 * one + 2 * noise.motion_time * noise.scale**2 * jnp.sum(rate * rate) * one
-    wrong = jnp.where(used.gyroscope, wrong, noise.unseen_rotation**2 * one)
+    wrong = jnp.where(gyro.valid, wrong, noise.unseen_rotation**2 * one)
     back = quat.to_matrix(quat.exp(-rate * dt))
-    transition = jnp.block([[back - k_p * dt * seen, -dt * jnp.where(used.gyroscope, one, 0)], [k_i * dt * seen, one]])
+    transition = jnp.block([[back - k_p * dt * seen, -dt * jnp.where(gyro.valid, one, 0)], [k_i * dt * seen, one]])
     driven = jnp.block(
         [
             [wrong + k_p * k_p * inflow, -k_p * k_i * inflow],
@@ -160,28 +160,26 @@ def _propagate(params: complementary.Params, noise: Any, state: State, measureme
     return jnp.where(state.filter.initialized, (covariance + covariance.T) / 2, state.covariance)
 
 
-def _observed(
-    state: complementary.State, sample: complementary.Sample, used: complementary.Sample
-) -> tuple[Array, Array]:
+def _observed(state: complementary.State, sample: Sample) -> tuple[Array, Array]:
     """The matrices H of accelerometer and magnetometer in the sensor frame, zero where the filter did not use them."""
     back = quat.inverse(state.quaternion)
     up = quat.rotate(back, jnp.array([0, 0, 1], sample.dt.dtype))
-    east, north, high = quat.rotate(state.quaternion, sample.magnetometer)
+    east, north, high = quat.rotate(state.quaternion, sample.magnetometer.value)
     horizontal = east * east + north * north
     length = jnp.sqrt(jnp.where(horizontal > 0, horizontal, 1))
     normal = quat.rotate(back, jnp.stack([jnp.zeros_like(high), -high, jnp.where(horizontal > 0, length, 0)]))
     level = jnp.eye(3, dtype=up.dtype) - jnp.outer(up, up)
     return (
-        jnp.where(used.accelerometer, level, 0),
-        jnp.where(used.magnetometer & state.heading_initialized, jnp.outer(normal, normal), 0),
+        jnp.where(sample.accelerometer.valid, level, 0),
+        jnp.where(sample.magnetometer.valid & state.heading_initialized, jnp.outer(normal, normal), 0),
     )
 
 
-def _movement(noise: Any, measurement: complementary.Imu, used: complementary.Sample, dtype: Any) -> Array:
+def _movement(noise: Any, measurement: Imu, used: Array, dtype: Any) -> Array:
     """Squared density that movement adds to the direction of the specific force: 2 T (||a| - g| / max(|a|, g))^2."""
-    force = jnp.where(used.accelerometer, jnp.asarray(measurement.accelerometer.value, dtype), jnp.ones(3, dtype))
+    force = jnp.where(used, jnp.asarray(measurement.accelerometer.value, dtype), jnp.ones(3, dtype))
     norm = jnp.sqrt(jnp.sum(force * force))
-    excess = jnp.where(used.accelerometer, (norm - noise.gravity) / jnp.maximum(norm, noise.gravity), 0)
+    excess = jnp.where(used, (norm - noise.gravity) / jnp.maximum(norm, noise.gravity), 0)
     return 2 * noise.motion_time * excess * excess
 
 

@@ -12,9 +12,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxest.filters.complementary import Imu, Params, Sample, State, init, step, usable
+from jaxest.filters.complementary import Params, State, init, step
+from jaxest.filters.imu import Imu, Sample, directed, usable
 from jaxest.manifolds import _coefficients as coefficient
-from jaxest.types import Array, Reading
+from jaxest.types import Array
 
 
 @jax.jit
@@ -37,19 +38,19 @@ def sweep(params: Params, measurements: Imu) -> State:
     settings = jnp.broadcast_shapes(*(x.shape for x in given), (1,))
     gains = Params._make([jnp.broadcast_to(x.astype(dtype), settings) for x in given])
     batch, length = jnp.shape(measurements.dt)
-    read = jax.vmap(jax.vmap(lambda m: usable(m, dtype)[:2]))
-    sample, used = read(measurements)
-    levelled = jnp.cumsum(used.accelerometer, axis=1) > 0
-    headed = jnp.cumsum(used.magnetometer & levelled, axis=1) > 0
+    sample = jax.vmap(jax.vmap(lambda m: directed(usable(m, dtype))))(measurements)
+    used = [x.valid for x in sample[:3]]
+    levelled = jnp.cumsum(used[1], axis=1) > 0
+    headed = jnp.cumsum(used[2] & levelled, axis=1) > 0
     before = [jnp.pad(x[:, :-1], ((0, 0), (1, 0))) for x in (levelled, headed)]
     begins = jnp.any((levelled & ~before[0]) | (headed & ~before[1]), axis=0)
     start = jax.vmap(lambda p: init(p))(gains)
     state = jax.tree.map(lambda x: jnp.broadcast_to(x[None], (batch, *x.shape)), start)
-    rows = jax.tree.map(lambda x: jnp.moveaxis(x, 1, 0), (sample, used, before[0], before[1]))
+    rows = jax.tree.map(lambda x: jnp.moveaxis(x, 1, 0), (sample, before[0], before[1]))
 
     def body(carry: Any, row: Any) -> tuple[Any, None]:
-        (sample, used, levelled, headed), now = row
-        exact, fast = partial(_exact, gains, carry, sample, used), partial(_fast, gains, carry, sample, used)
+        (sample, levelled, headed), now = row
+        exact, fast = partial(_exact, gains, carry, sample), partial(_fast, gains, carry, sample)
         return jax.lax.cond(now, exact, partial(fast, levelled, headed)), None
 
     quaternion = tuple(state.quaternion[..., i] for i in range(4))
@@ -59,28 +60,27 @@ def sweep(params: Params, measurements: Imu) -> State:
     return State(jnp.stack(quaternion, -1), jnp.stack(bias, -1), count, initialized, heading)
 
 
-def _exact(gains: Params, carry: Any, sample: Any, used: Sample) -> Any:
+def _exact(gains: Params, carry: Any, sample: Sample) -> Any:
     """The step itself, for samples that set an orientation."""
     q, b, initialized, headed = carry
     index = jnp.zeros(initialized.shape, jnp.int32)
     state = State(jnp.stack(q, -1), jnp.stack(b, -1), index, initialized, headed)
-    readings = [Reading(value, flag) for value, flag in zip(sample[:3], used[:3], strict=True)]
     every = jax.vmap(jax.vmap(lambda p, s, m: step(p, s, m)[0], (0, 0, None)), (None, 0, 0))
-    after = every(gains, state, Imu(readings[0], readings[1], readings[2], sample.dt))
+    after = every(gains, state, Imu(*sample[:3], sample.dt))
     parts = tuple(after.quaternion[..., i] for i in range(4)), tuple(after.bias[..., i] for i in range(3))
     return *parts, after.initialized, after.heading_initialized
 
 
-def _fast(gains: Any, carry: Any, sample: Any, used: Sample, levelled: Array, headed: Array) -> Any:
+def _fast(gains: Any, carry: Any, sample: Sample, levelled: Array, headed: Array) -> Any:
     """One sample by components: those of the recordings are (b, 1), of the gains (1, s)."""
     (w, x, y, z), (bx, by, bz), initialized, heading = carry
     dt = sample.dt[:, None]
     live = jnp.where(levelled, sample.dt, 0)[:, None] / 2
     (gx, gy, gz), (ax, ay, az), (mx, my, mz) = (
-        tuple(jnp.where(flag, value[:, i], 0)[:, None] for i in range(3))
-        for value, flag in zip(sample[:3], (used.gyroscope, levelled, levelled & headed), strict=True)
+        tuple(jnp.where(flag, reading.value[:, i], 0)[:, None] for i in range(3))
+        for reading, flag in zip(sample[:3], (sample.gyroscope.valid, levelled, levelled & headed), strict=True)
     )
-    seen = used.gyroscope[:, None].astype(dt.dtype)
+    seen = sample.gyroscope.valid[:, None].astype(dt.dtype)
     k_p, k_i, weight_acc, weight_mag = (g[None] for g in gains)
     w2, x2, y2, z2 = 2 * w, 2 * x, 2 * y, 2 * z
     r00, r01, r02 = 1 - y2 * y - z2 * z, x2 * y - w2 * z, x2 * z + w2 * y

@@ -19,9 +19,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxest.filters.complementary import Imu, Params, Sample, usable
+from jaxest.filters.complementary import Params
+from jaxest.filters.imu import Imu, Sample, directed, usable
 from jaxest.manifolds import quaternion as quat
-from jaxest.types import Array, InputError, Step
+from jaxest.types import Array, InputError, Reading, Step
 
 Edges = tuple[tuple[int, int], ...]
 
@@ -126,16 +127,17 @@ def step(
     """
     dtype = state.quaternion.dtype
     params = Params(*(jnp.asarray(x, dtype) for x in params))
-    sample, used, status = _usable(measurement, dtype, state.bias.shape[0])
+    sample = _usable(measurement, dtype, state.bias.shape[0])
     first, second = (np.array([edge[i] for edge in edges]) for i in (0, 1))
-    rates = jnp.where(used.gyroscope[:, None], sample.gyroscope - state.bias, 0)
-    values = sample._replace(gyroscope=rates)
-    one, two = (Sample._make([*(x[at] for x in values[:3]), sample.dt]) for at in (first, second))
-    both = Sample._make([*(x[first] & x[second] for x in used[:3]), used.dt])
-    each: Any = Sample._make([0, 0, 0, None])
+    gyro = sample.gyroscope
+    sample = sample._replace(gyroscope=gyro._replace(value=jnp.where(gyro.valid[:, None], gyro.value - state.bias, 0)))
+    one, two = (
+        Sample._make([*(Reading(x.value[at], x.valid[at]) for x in sample[:3]), *sample[3:]]) for at in (first, second)
+    )
+    each: Any = Sample._make([0, 0, 0, None, None])
     own: Any = State._make([0, None, None, 0, 0])
-    edge = jax.vmap(partial(_edge, params), (own, each, each, each), (own, 0, 0, 0))
-    moved, error, error_acc, error_mag = edge(state, one, two, both)
+    edge = jax.vmap(partial(_edge, params), (own, each, each), (own, 0, 0, 0))
+    moved, error, error_acc, error_mag = edge(state, one, two)
     onto = np.zeros((2, state.bias.shape[0], len(edges)), dtype)
     onto[0, first, np.arange(len(edges))] = onto[1, second, np.arange(len(edges))] = 1
     turned = jax.vmap(quat.rotate)(state.quaternion, error)
@@ -145,7 +147,7 @@ def step(
     valid = after.initialized
     if measurement.magnetometer is not None:
         valid = valid & after.heading_initialized
-    return after, Info(after.quaternion, bias, error_acc, error_mag, valid, status)
+    return after, Info(after.quaternion, bias, error_acc, error_mag, valid, sample.status)
 
 
 def over(edges: Sequence[tuple[int, int]], imus: int) -> tuple[Any, Step]:
@@ -183,47 +185,50 @@ def tree(imus: int, parents: Sequence[int]) -> Edges:
     return checked([(p, i) for i, p in enumerate(parents) if p >= 0], imus)
 
 
-def _usable(measurement: Imu, dtype: Any, imus: int) -> tuple[Sample, Sample, Array]:
+def _usable(measurement: Imu, dtype: Any, imus: int) -> Sample:
     for name in Imu._fields[:3]:
         reading = getattr(measurement, name)
         if reading is not None and jnp.shape(reading.value) != (imus, 3):
             raise ValueError(f"measurement.{name}: got shape {jnp.shape(reading.value)}, expected ({imus}, 3)")
     axes: Any = Imu._make([0, 0, None if measurement.magnetometer is None else 0, None])
-    sample, used, status = jax.vmap(partial(usable, dtype=dtype), (axes,))(measurement)
-    return sample._replace(dt=sample.dt[0]), used._replace(dt=used.dt[0]), jnp.max(status)
+    sample = jax.vmap(lambda m: directed(usable(m, dtype)), (axes,))(measurement)
+    return sample._replace(dt=sample.dt[0], status=jnp.max(sample.status))
 
 
-def _edge(params: Any, state: State, one: Sample, two: Sample, used: Sample) -> tuple[State, Array, Array, Array]:
+def _edge(params: Any, state: State, one: Sample, two: Sample) -> tuple[State, Array, Array, Array]:
     """Move one edge; return also the weighted error and its parts, in the frame of the second IMU."""
     back = quat.inverse(state.quaternion)
-    error_acc = jnp.cross(two.accelerometer, quat.rotate(back, one.accelerometer))
-    error_mag = jnp.cross(two.magnetometer, quat.rotate(back, one.magnetometer))
-    error_acc = jnp.where(state.initialized & used.accelerometer, error_acc, 0)
+    gyro, acc, mag = (a.valid & b.valid for a, b in zip(one[:3], two[:3], strict=True))
+    error_acc = jnp.cross(two.accelerometer.value, quat.rotate(back, one.accelerometer.value))
+    error_mag = jnp.cross(two.magnetometer.value, quat.rotate(back, one.magnetometer.value))
+    error_acc = jnp.where(state.initialized & acc, error_acc, 0)
     ready = state.initialized & state.heading_initialized
-    error_mag = jnp.where(ready & used.magnetometer, error_mag, 0)
+    error_mag = jnp.where(ready & mag, error_mag, 0)
     error = params.lambda_acc * error_acc + params.lambda_mag * error_mag
-    rate = two.gyroscope - quat.rotate(back, one.gyroscope)
-    rate = jnp.where(used.gyroscope, rate, 0) + params.proportional_gain * error
+    rate = two.gyroscope.value - quat.rotate(back, one.gyroscope.value)
+    rate = jnp.where(gyro, rate, 0) + params.proportional_gain * error
     moved = quat.retract(state.quaternion, rate * two.dt)
-    quaternion, initialized, headed = _begun(state, moved, one, two, used)
+    quaternion, initialized, headed = _begun(state, moved, one, two)
     after = state._replace(quaternion=quaternion, initialized=initialized, heading_initialized=headed)
     return after, error, error_acc, error_mag
 
 
-def _begun(state: State, moved: Array, one: Sample, two: Sample, used: Sample) -> tuple[Array, Array, Array]:
+def _begun(state: State, moved: Array, one: Sample, two: Sample) -> tuple[Array, Array, Array]:
     """The next rotation, set by the first samples of the vector sensors instead of moved."""
-    initialized = state.initialized | used.accelerometer
-    shortest = quat.from_two_vectors(two.accelerometer, one.accelerometer)
-    quaternion = jnp.where(state.initialized, moved, jnp.where(used.accelerometer, shortest, state.quaternion))
-    up = quat.rotate(quaternion, two.accelerometer)
-    flat = [v - jnp.sum(v * up) * up for v in (quat.rotate(quaternion, two.magnetometer), one.magnetometer)]
+    acc, mag = (a.valid & b.valid for a, b in zip(one[1:3], two[1:3], strict=True))
+    forces, fields = ((b.value, a.value) for a, b in zip(one[1:3], two[1:3], strict=True))
+    initialized = state.initialized | acc
+    shortest = quat.from_two_vectors(*forces)
+    quaternion = jnp.where(state.initialized, moved, jnp.where(acc, shortest, state.quaternion))
+    up = quat.rotate(quaternion, forces[0])
+    flat = [v - jnp.sum(v * up) * up for v in (quat.rotate(quaternion, fields[0]), fields[1])]
     square = [jnp.sum(v * v) for v in flat]
     there = (square[0] > 0) & (square[1] > 0)
     level = [
         jnp.where(there, v, jnp.eye(3, dtype=v.dtype)[0]) / jnp.sqrt(jnp.where(there, s, 1))
         for v, s in zip(flat, square, strict=True)
     ]
-    first = ~state.heading_initialized & initialized & used.magnetometer & used.accelerometer & there
+    first = ~state.heading_initialized & initialized & mag & acc & there
     turned = quat.normalize(quat.compose(quat.from_two_vectors(*level), quaternion))
     return jnp.where(first, turned, quaternion), initialized, state.heading_initialized | first
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.filters.complementary import Imu, imu
+from jaxest.filters.imu import Imu, imu
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest import models
-from jaxest.filters.complementary import Imu
+from jaxest.filters.imu import Imu
 from jaxest.simulate.imu import Sensor
 from jaxest.simulate.noise import corrupt
 from jaxest.types import Reading

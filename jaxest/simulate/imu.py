@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxest.filters.complementary import Imu
+from jaxest.filters.imu import Imu
 from jaxest.kinematics import Robot, forward
 from jaxest.manifolds import quaternion as quat
 from jaxest.simulate.noise import Faults, Triad, corrupt

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxest.filters.complementary import Imu
+from jaxest.filters.imu import Imu
 from jaxest.kinematics import Robot, expand
 from jaxest.simulate import imu as imus_on
 from jaxest.simulate import trajectories

@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxest.filters import attitude, complementary, complementary_covariance
-from jaxest.filters.complementary import Imu, exponential
+from jaxest.filters.complementary import exponential
 from jaxest.filters.complementary_covariance import Noise
+from jaxest.filters.imu import Imu, imu
 from jaxest.manifolds import quaternion as quat
 from jaxest.simulate.noise import coloured
 from jaxest.types import Array, PyTree, System, unknown_name
@@ -50,7 +51,7 @@ def build(
 
     Returns:
         The system, the same object for the same choices, so that `run` compiles its step once. Its measurement is
-        `complementary.Imu` (the magnetometer None without one); its parameters are the filter's `Params`, or
+        `imu.Imu` (the magnetometer None without one); its parameters are the filter's `Params`, or
         `complementary_covariance.Params` with `covariance`.
 
     Raises:
@@ -139,7 +140,7 @@ def simulate(
     uneven = 44.8 * given.magnetometer * per_density * coloured(fields, steps, 3, dt, time, dtype)
     accelerometer = _seen(quaternion, force) + sway
     magnetometer = _seen(quaternion, field) + uneven if magnetic else None
-    measurements = complementary.imu(gyroscope, accelerometer, magnetometer, dt=jnp.broadcast_to(dt, (steps,)))
+    measurements = imu(gyroscope, accelerometer, magnetometer, dt=jnp.broadcast_to(dt, (steps,)))
     return measurements, Truth(quaternion, bias, rate)
 
 

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.filters import attitude
-from jaxest.filters.complementary import Imu
+from jaxest.filters.imu import Imu
 from jaxest.kinematics import Robot, frame
 from jaxest.kinematics.movement import coupled, moved, movers, room, spread
 from jaxest.kinematics.orientations import REACH, UNKNOWN, errors, rotations
@@ -118,7 +118,7 @@ def build(
         iterations: Gauss-Newton steps a sample.
 
     Returns:
-        The system. Its measurement is `complementary.Imu` with a leading axis of n IMUs on values and flags and one
+        The system. Its measurement is `imu.Imu` with a leading axis of n IMUs on values and flags and one
         `dt`.
 
     Raises:

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.filters import pair
-from jaxest.filters.complementary import Imu
 from jaxest.filters.complementary import Params as Gains
+from jaxest.filters.imu import Imu
 from jaxest.kinematics import Robot, frame
 from jaxest.kinematics.orientations import UNKNOWN, Observed, fit_orientations
 from jaxest.manifolds import quaternion as quat
@@ -91,7 +91,7 @@ def build(
         iterations: Gauss-Newton steps a sample.
 
     Returns:
-        The system. Its measurement is `complementary.Imu` with a leading axis of n IMUs and one `dt`.
+        The system. Its measurement is `imu.Imu` with a leading axis of n IMUs and one `dt`.
 
     Raises:
         InputError: a frame or an IMU does not exist, or an edge leads from an IMU to itself.

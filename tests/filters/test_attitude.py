@@ -11,7 +11,7 @@ from reference import ref_attitude
 
 from jaxest.filters import attitude, complementary, run
 from jaxest.filters.attitude import lowpass, motion, rest
-from jaxest.filters.attitude.readings import usable
+from jaxest.filters.imu import usable
 from jaxest.manifolds import quaternion as quat
 from jaxest.metrics import align_heading, nees, orientation_difference, orientation_error
 from jaxest.types import NON_FINITE, OK, Reading

@@ -159,7 +159,7 @@ def _unit(item: Stream, value: NDArray[np.float64], spot: str) -> NDArray[np.flo
 def _attitude(log: SensorLog, one: Described, nan: str) -> Stream:
     """Orientations from a raw gyroscope and accelerometer; NaN until the filter has settled."""
     from jaxest.cli.methods import orientation_filters
-    from jaxest.filters.complementary import Imu
+    from jaxest.filters.imu import Imu
 
     prefix = f"{one.imu}/" if one.imu else ""
     kinds = [f"{prefix}{kind}" for kind in sorted(RAW, reverse=True)]

@@ -160,8 +160,8 @@ def merged(log: SensorLog, choice: Choice, nan: str) -> Any:
 
 
 def measurements(choice: Choice, steps: Any) -> Any:
-    """Return what `merged` gave as the filters' measurements, `complementary.Imu` with leaves (T, ...)."""
-    from jaxest.filters.complementary import Imu
+    """Return what `merged` gave as the filters' measurements, `imu.Imu` with leaves (T, ...)."""
+    from jaxest.filters.imu import Imu
 
     gyr, acc, mag = (steps.readings.get(choice.prefix + kind) for kind in KINDS)
     return Imu(gyr, acc, mag, steps.dt)

@@ -103,7 +103,7 @@ def run(chosen: Chosen, sensors: tuple[str, ...], measurements: Any) -> Estimate
     Args:
         chosen: the filter.
         sensors: kinds that are used.
-        measurements: `complementary.Imu`, leaves (T, ...).
+        measurements: `imu.Imu`, leaves (T, ...).
 
     Returns:
         The estimates.

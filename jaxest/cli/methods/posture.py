@@ -159,7 +159,7 @@ def _frame_of(imu: str, frames: tuple[str, ...]) -> str:
 
 
 def _measured(log: SensorLog, choice: Choice, nan: str) -> tuple[NDArray[np.float64], Any]:
-    from jaxest.filters.complementary import Imu
+    from jaxest.filters.imu import Imu
 
     names = [f"{imu}/{kind}" for imu in choice.imus for kind in choice.kinds]
     if nan == "error":

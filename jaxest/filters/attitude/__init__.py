@@ -1,4 +1,4 @@
-"""Attitude filters: the orientation of one IMU, with or without a magnetometer. All take `complementary.Imu`.
+"""Attitude filters: the orientation of one IMU, with or without a magnetometer. All take `imu.Imu`.
 
 | which | for |
 |---|---|

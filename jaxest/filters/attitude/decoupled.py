@@ -21,8 +21,8 @@ from jaxest.filters.attitude import lowpass as low
 from jaxest.filters.attitude import rest as resting
 from jaxest.filters.attitude.decoupled_state import Info, Params, State, init
 from jaxest.filters.attitude.field import heading_slope, mahalanobis, trust
-from jaxest.filters.attitude.readings import Sample, direction, length, levelled, northward, usable
-from jaxest.filters.complementary import Imu
+from jaxest.filters.attitude.vectors import length, levelled, northward
+from jaxest.filters.imu import Imu, Sample, direction, usable
 from jaxest.manifolds import quaternion as quat
 from jaxest.types import OUT_OF_RANGE, Array
 

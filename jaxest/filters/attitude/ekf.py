@@ -26,8 +26,8 @@ from jaxest.filters.attitude import rest as resting
 from jaxest.filters.attitude.ekf_state import Info, Memory, Params, State, closed, init, opened
 from jaxest.filters.attitude.field import heading_slope, mahalanobis, trust
 from jaxest.filters.attitude.motion import MANIFOLD, Track, begin, carry, integrate
-from jaxest.filters.attitude.readings import Sample, length, levelled, northward, usable
-from jaxest.filters.complementary import Imu
+from jaxest.filters.attitude.vectors import length, levelled, northward
+from jaxest.filters.imu import Imu, Sample, usable
 from jaxest.manifolds import quaternion as quat
 from jaxest.types import NOT_CONVERGED, OK, Array
 

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxest.filters.attitude.readings import direction, levelled, northward, usable
-from jaxest.filters.complementary import Imu
+from jaxest.filters.attitude.vectors import levelled, northward
+from jaxest.filters.imu import Imu, direction, usable
 from jaxest.manifolds import quaternion as quat
 from jaxest.types import Array, ArrayLike
 

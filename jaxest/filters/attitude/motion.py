@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from jaxest.filters.attitude.readings import Sample
+from jaxest.filters.imu import Sample
 from jaxest.manifolds import Euclidean, product
 from jaxest.manifolds import quaternion as quat
 from jaxest.types import Array, ArrayLike

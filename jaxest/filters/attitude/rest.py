@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from jaxest.filters.attitude.readings import Sample, length
+from jaxest.filters.attitude.vectors import length
+from jaxest.filters.imu import Sample
 from jaxest.types import Array, ArrayLike
 
 

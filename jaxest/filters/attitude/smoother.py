@@ -15,8 +15,7 @@ import jax.numpy as jnp
 from jaxest.filters.attitude import ekf, motion
 from jaxest.filters.attitude.ekf_state import Memory, opened
 from jaxest.filters.attitude.motion import MANIFOLD, Track
-from jaxest.filters.attitude.readings import usable
-from jaxest.filters.complementary import Imu
+from jaxest.filters.imu import Imu, usable
 from jaxest.filters.kalman import Root, Series, smooth_series
 from jaxest.filters.kalman._square_root import root
 from jaxest.filters.kalman.factors import evaluate, joined, validity, whiten

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from jaxest import kinematics, models
 from jaxest.calibration import mounting
 from jaxest.filters import Every, Last, pair, run
-from jaxest.filters.complementary import Imu, Params
+from jaxest.filters.complementary import Params
+from jaxest.filters.imu import Imu
 from jaxest.kinematics.orientations import Observed, fit_orientations
 from jaxest.manifolds import quaternion as quat
 from jaxest.simulate import grasp

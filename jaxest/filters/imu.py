@@ -1,12 +1,24 @@
-"""What an IMU sample offers to a filter: finite values, which of them are there, and whether any was broken."""
+"""One sample of an IMU as every filter of one takes it, and what of it may be used."""
 
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 
-from jaxest.filters.complementary import Imu
-from jaxest.manifolds import quaternion as quat
-from jaxest.types import NON_FINITE, OK, Array, Reading
+from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
+
+
+class Imu(NamedTuple):
+    """One sample of an IMU; any sensor may be missing at any step."""
+
+    gyroscope: Reading
+    """value (3,) rad/s, in the sensor frame."""
+    accelerometer: Reading
+    """value (3,) m/s^2, specific force in the sensor frame."""
+    magnetometer: Reading | None
+    """value (3,) in the sensor frame, any unit (only its direction counts); None if there is no such sensor."""
+    dt: ArrayLike
+    """() s, time since the previous step."""
 
 
 class Sample(NamedTuple):
@@ -22,6 +34,25 @@ class Sample(NamedTuple):
     """() s, 0 where not finite."""
     status: Array
     """() int32, `NON_FINITE` where a valid value was not finite, else `OK`."""
+
+
+def imu(gyroscope: Any, accelerometer: Any, magnetometer: Any = None, *, dt: Any) -> Imu:
+    """Bundle arrays into a measurement in which every sample is valid.
+
+    Args:
+        gyroscope: (..., 3) rad/s.
+        accelerometer: (..., 3) m/s^2.
+        magnetometer: (..., 3) any unit, or None.
+        dt: () or (...) s, time since the previous sample.
+
+    Returns:
+        The measurement with the leading axes of `gyroscope`.
+    """
+    batch = np.shape(gyroscope)[:-1]
+    there: Any = np.ones(batch, bool) if batch else np.True_  # a scalar reaches the device sooner
+    field = None if magnetometer is None else Reading(magnetometer, there)
+    dt = dt if np.shape(dt) == batch else np.broadcast_to(np.asarray(dt), batch)
+    return Imu(Reading(gyroscope, there), Reading(accelerometer, there), field, dt)
 
 
 def usable(measurement: Imu, dtype: Any) -> Sample:
@@ -57,32 +88,17 @@ def usable(measurement: Imu, dtype: Any) -> Sample:
     return Sample(gyro, acc, mag, dt, jnp.where(jnp.any(jnp.stack(bad)), NON_FINITE, OK).astype(jnp.int32))
 
 
+def directed(sample: Sample) -> Sample:
+    """Return the sample with unit vectors of the accelerometer and the magnetometer, 0 where missing."""
+    acc, mag = (x._replace(value=direction(x.value)) for x in (sample.accelerometer, sample.magnetometer))
+    return sample._replace(accelerometer=acc, magnetometer=mag)
+
+
 def direction(vector: Array) -> Array:
     """Return the unit vector (n,) along a vector (n,), zero for zero."""
     square = jnp.sum(vector * vector)
     there = square > 0
     return jnp.where(there, vector, 0) / jnp.sqrt(jnp.where(there, square, 1))
-
-
-def length(vector: Array) -> Array:
-    """Return the length () of a vector (n,), with the derivative zero at zero."""
-    square = jnp.sum(vector * vector)
-    there = square > 0
-    return jnp.where(there, jnp.sqrt(jnp.where(there, square, 1)), 0)
-
-
-def levelled(accelerometer: Array) -> Array:
-    """Return the quaternion (4,) that turns a specific force (3,) upright by the shortest way."""
-    return quat.from_two_vectors(direction(accelerometer), jnp.array([0, 0, 1], accelerometer.dtype))
-
-
-def northward(field: Array) -> Array:
-    """Return the rotation (4,) about the vertical that brings a field (3,) into the north-up plane (y north)."""
-    flat = direction(field[:2])
-    there = jnp.any(flat != 0)
-    up = jnp.zeros_like(flat[:1])
-    along = jnp.where(there, jnp.concatenate([flat, up]), jnp.array([0, 1, 0], field.dtype))
-    return quat.from_two_vectors(along, jnp.array([0, 1, 0], field.dtype))
 
 
 def _shaped(name: str, value: Any, shape: tuple[int, ...], dtype: Any) -> Array:
@@ -92,4 +108,4 @@ def _shaped(name: str, value: Any, shape: tuple[int, ...], dtype: Any) -> Array:
     return array
 
 
-__all__ = ["Sample", "direction", "length", "levelled", "northward", "usable"]
+__all__ = ["Imu", "Sample", "directed", "direction", "imu", "usable"]
