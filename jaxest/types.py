@@ -23,7 +23,7 @@ OUT_OF_RANGE = 4
 
 _MESSAGES = {
     OK: "ok",
-    NON_FINITE: "a valid measurement was not finite and was left out",
+    NON_FINITE: "a valid measurement was not finite, or time ran backwards; it was left out",
     WEIGHTS_VANISHED: "all particle weights vanished; the weights were reset to uniform",
     NOT_CONVERGED: "the iteration stopped before it converged",
     OUT_OF_RANGE: "numbers outgrew the precision; the step was not taken",

@@ -332,6 +332,21 @@ def test_a_valid_value_that_is_not_finite_is_left_out_and_reported(case):
         same((state, unreported(history)), (expected_state, unreported(expected)))
 
 
+def test_a_step_back_in_time_takes_no_time_and_sees_nothing_and_says_so(case):
+    def at_six(dt):
+        return case.measurements._replace(dt=case.measurements.dt.at[6].set(dt))
+
+    hidden = at_six(0.0)
+    for name in sensors(hidden):
+        hidden = masked(hidden, name, [6], 0.0)
+    odd = [(case.params, at_six(dt)) for dt in (-1e-9, -10.0, np.nan, np.inf, -np.inf)]
+    (expected_state, expected), *results = case.runs((case.params, hidden), *odd)
+    for state, history in results:
+        assert np.flatnonzero(np.asarray(history.status)).tolist() == [6]
+        assert int(history.status[6]) == NON_FINITE
+        same((state, unreported(history)), (expected_state, unreported(expected)))
+
+
 @pytest.mark.parametrize("row", DIFFERENTIABLE, ids=[row.name for row in DIFFERENTIABLE], indirect=True)
 def test_gradient_is_the_finite_difference(case):
     gradient = case.gradients((case.params, case.measurements))[0]

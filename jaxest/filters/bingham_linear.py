@@ -28,6 +28,7 @@ from jaxest.filters._small import (
     transposed,
     within_range,
 )
+from jaxest.filters._time import elapsed
 from jaxest.filters.bingham_pairs import Information, general, isotropic, noise_matrix, pair_matrix, parameter
 from jaxest.manifolds import quaternion as quat
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
@@ -56,7 +57,7 @@ class Pair(NamedTuple):
     b: Reading
     """value (3,) rad/s, in the source frame."""
     dt: ArrayLike
-    """() s, not used."""
+    """() s, time since the previous step; only its sign counts."""
 
 
 class State(NamedTuple):
@@ -288,7 +289,8 @@ def _surprise(params: Params, state: State, before: Estimate, z: Array) -> tuple
 
 def usable(measurement: Pair, dtype: Any) -> tuple[Array, Array, Array]:
     """Return the pair (6,) with 0 where it is not there, whether it is, and the status; ValueError for shapes."""
-    values, flags, bad = [], [], []
+    timely = elapsed(measurement.dt)[1]
+    values, flags, bad = [], [], [~timely]
     for name in ("a", "b"):
         reading = getattr(measurement, name)
         value, flag = jnp.asarray(reading.value, dtype), jnp.asarray(reading.valid, bool)
@@ -301,9 +303,9 @@ def usable(measurement: Pair, dtype: Any) -> tuple[Array, Array, Array]:
         values.append(value)
         flags.append(flag & finite)
         bad.append(flag & ~finite)
-    there = flags[0] & flags[1]
+    there = flags[0] & flags[1] & timely
     z = jnp.concatenate(values)
-    return jnp.where(there, z, 0), there, jnp.where(bad[0] | bad[1], NON_FINITE, OK).astype(jnp.int32)
+    return jnp.where(there, z, 0), there, jnp.where(bad[0] | bad[1] | bad[2], NON_FINITE, OK).astype(jnp.int32)
 
 
 __all__ = [

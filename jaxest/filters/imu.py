@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest.filters._time import elapsed
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
 
 
@@ -31,9 +32,9 @@ class Sample(NamedTuple):
     magnetometer: Reading
     """value (3,) any unit, 0 where missing; the zero vector counts as missing."""
     dt: Array
-    """() s, 0 where not finite."""
+    """() s, 0 where negative or not finite: nothing is used then."""
     status: Array
-    """() int32, `NON_FINITE` where a valid value was not finite, else `OK`."""
+    """() int32, `NON_FINITE` where a valid value was not finite or time ran backwards, else `OK`."""
 
 
 def imu(gyroscope: Any, accelerometer: Any, magnetometer: Any = None, *, dt: Any) -> Imu:
@@ -69,9 +70,8 @@ def usable(measurement: Imu, dtype: Any) -> Sample:
         ValueError: a sensor's value is not (3,), or `valid` or `dt` is not a scalar.
     """
     dt = _shaped("dt", measurement.dt, (), dtype)
-    timed = jnp.isfinite(dt)
-    dt = jnp.where(timed, dt, 0)
-    found, bad = [], [~timed]
+    dt, timely = elapsed(dt)
+    found, bad = [], [~timely]
     for name in ("gyroscope", "accelerometer", "magnetometer"):
         reading = getattr(measurement, name)
         if reading is None:
@@ -82,7 +82,7 @@ def usable(measurement: Imu, dtype: Any) -> Sample:
         # A square that overflows is of no use either, nor a rate whose turn over the step has one.
         finite = jnp.isfinite(16 * square * dt * dt if name == "gyroscope" else square)
         bad.append(valid & ~finite)
-        there = valid & finite & ((square > 0) | (name == "gyroscope"))
+        there = timely & valid & finite & ((square > 0) | (name == "gyroscope"))
         found.append(Reading(jnp.where(there, value, 0), there))
     gyro, acc, mag = found
     return Sample(gyro, acc, mag, dt, jnp.where(jnp.any(jnp.stack(bad)), NON_FINITE, OK).astype(jnp.int32))

@@ -30,6 +30,7 @@ from jaxest.filters._small import (
     turned_back,
     within_range,
 )
+from jaxest.filters._time import elapsed
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
 
 
@@ -55,7 +56,7 @@ class Observation(NamedTuple):
     """(3, 3) expected E' E of the regressor's noise E whose columns the unknowns multiply; zeros if exact. It is taken
     off the information with the mean variance of the residuals."""
     dt: ArrayLike
-    """() s, not used."""
+    """() s, time since the previous step; only its sign counts."""
 
 
 class State(NamedTuple):
@@ -318,9 +319,9 @@ def usable(measurement: Observation, dtype: Any) -> tuple[Array, Array, Array, A
             f"measurement: got shapes {shapes} for regressor, target, regressor_noise and the two valid, expected "
             "(3, 3), (3,), (3, 3), (), (); vmap or run adds other axes"
         )
-    finite = [jnp.all(jnp.isfinite(x)) for x in (o, y)]
-    there = flags[0] & flags[1] & finite[0] & finite[1] & jnp.all(jnp.isfinite(noisy))
-    broken = (flags[0] & ~finite[0]) | (flags[1] & ~finite[1])
+    finite, timely = [jnp.all(jnp.isfinite(x)) for x in (o, y)], elapsed(measurement.dt)[1]
+    there = flags[0] & flags[1] & finite[0] & finite[1] & jnp.all(jnp.isfinite(noisy)) & timely
+    broken = ~timely | (flags[0] & ~finite[0]) | (flags[1] & ~finite[1])
     status = jnp.where(broken, NON_FINITE, OK).astype(jnp.int32)
     o, y, noisy = (jnp.where(there, x, 0) for x in (o, y, noisy))
     return o, y, noisy, there, status

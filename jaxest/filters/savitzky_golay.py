@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from jaxest.filters._savitzky_golay_recording import Smoothed, smooth, windows
 from jaxest.filters._savitzky_golay_weights import Weights, averaging, evaluate, weights
+from jaxest.filters._time import elapsed
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
 
 
@@ -154,10 +155,10 @@ def usable(measurement: Sample, channels: int, dtype: Any) -> tuple[Array, Array
             f"measurement: got shapes {value.shape}, {valid.shape} and {dt.shape} for value, valid and dt, expected "
             f"({channels},), () and (); vmap or run adds other axes"
         )
-    finite, timed = jnp.all(jnp.isfinite(value)), jnp.isfinite(dt)
-    there = valid & finite & timed
-    status = jnp.where((valid & ~finite) | ~timed, NON_FINITE, OK).astype(jnp.int32)
-    return jnp.where(there, value, 0), there, jnp.where(timed, dt, 0), status
+    finite, (dt, timely) = jnp.all(jnp.isfinite(value)), elapsed(dt)
+    there = valid & finite & timely
+    status = jnp.where((valid & ~finite) | ~timely, NON_FINITE, OK).astype(jnp.int32)
+    return jnp.where(there, value, 0), there, dt, status
 
 
 __all__ = [

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxest.filters import bingham_linear, rls
 from jaxest.filters import savitzky_golay as sg
 from jaxest.filters._small import applied, eigen4, eye, held, largest, trace, transposed, turned_back
+from jaxest.filters._time import elapsed
 from jaxest.manifolds import quaternion as quat
 from jaxest.systems import _onsite_covariance as unknown
 from jaxest.systems import _onsite_window as win
@@ -135,16 +136,14 @@ def _step(
 def _push(params: Params, memory: Memory, measurement: Pair) -> tuple[tuple[sg.State, sg.State], Array]:
     """Both windows with the new samples, and the status."""
     dtype = memory.gain.dtype
-    dt = jnp.asarray(measurement.dt, dtype)
-    timed = jnp.isfinite(dt)
-    step = jnp.where(timed, dt, 0)
+    step, timely = elapsed(measurement.dt, dtype)
     largest = float(jnp.finfo(dtype).max) ** 0.1  # 7000 rad/s, m/s2 in float32: what larger readings make outgrows it
 
     def push(window: sg.State, gyro: Reading, acc: Reading, bias: ArrayLike) -> tuple[sg.State, Array]:
         rate, force = (jnp.asarray(x.value, dtype) for x in (gyro, acc))
         flags = [jnp.asarray(x.valid, bool) for x in (gyro, acc)]
         finite = [jnp.all(jnp.abs(x) < largest, axis=0) for x in (rate, force)]
-        there = flags[0] & flags[1] & finite[0] & finite[1] & timed
+        there = flags[0] & flags[1] & finite[0] & finite[1] & timely
         value = jnp.concatenate([rate - jnp.asarray(bias, dtype), force])
         broken = (flags[0] & ~finite[0]) | (flags[1] & ~finite[1])
         return sg.push(window, jnp.where(there[None], value, 0), there, step), broken
@@ -152,7 +151,7 @@ def _push(params: Params, memory: Memory, measurement: Pair) -> tuple[tuple[sg.S
     m, (a, p) = measurement, memory.windows
     a, broken_a = push(a, m.gyroscope_a, m.accelerometer_a, params.bias_a)
     p, broken_p = push(p, m.gyroscope_p, m.accelerometer_p, params.bias_p)
-    status = jnp.where(broken_a | broken_p | ~timed, NON_FINITE, OK).astype(jnp.int32)
+    status = jnp.where(broken_a | broken_p | ~timely, NON_FINITE, OK).astype(jnp.int32)
     return (a, p), status
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.filters._small import product, sandwich
+from jaxest.filters._time import elapsed
 from jaxest.kinematics.modular import Assembly, assemble, check, known
 from jaxest.kinematics.robot import Robot
 from jaxest.manifolds import quaternion as quat
@@ -178,8 +179,8 @@ def step(
     spread = 2 * onsite.root(variance)
     near = (spread[:, 0] < params.rotation_limit) & (spread[:, 1] < params.position_limit)
     valid = jnp.all(imus.valid)
-    dt = jnp.asarray(measurement.dt, dtype)
-    lasting = jnp.where(jnp.all(near) & valid, state.near + jnp.where(jnp.isfinite(dt), dt, 0), 0)
+    dt, _ = elapsed(measurement.dt, dtype)
+    lasting = jnp.where(jnp.all(near) & valid, state.near + dt, 0)
     done = (lasting > 0) & (lasting >= params.hold)
     info = Info(position, quaternion, covariance, spread, imus, done, valid, jnp.max(imus.status))
     return State(links, lasting, state.index + 1), info

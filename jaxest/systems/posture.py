@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.filters import attitude
+from jaxest.filters._time import elapsed
 from jaxest.filters.imu import Imu
 from jaxest.kinematics import Robot, frame
 from jaxest.kinematics.movement import coupled, moved, movers, room, spread
@@ -282,7 +283,7 @@ def _room(robot: Robot, moving: tuple[int, ...], q: Array) -> tuple[Array, Array
 
 
 def _share(params: Params, dt: ArrayLike, dtype: Any) -> Array:
-    return jnp.clip(jnp.where(jnp.isfinite(dt), dt, 0) / (2 * jnp.asarray(params.memory, dtype)), 0, 1)
+    return jnp.clip(elapsed(dt, dtype)[0] / (2 * jnp.asarray(params.memory, dtype)), 0, 1)
 
 
 __all__ = ["Info", "Params", "State", "Truth", "build", "simulate"]

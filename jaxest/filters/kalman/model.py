@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from jaxest.filters._small import within_range
+from jaxest.filters._time import elapsed
 from jaxest.filters.kalman.factors import Factor
 from jaxest.filters.kalman.gain import Gain, by_size
 from jaxest.filters.kalman.gaussian import Gaussian, predict
@@ -200,9 +201,14 @@ def clean(measurement: PyTree) -> tuple[PyTree, Array]:
         measurement: any pytree with `Reading`s.
 
     Returns:
-        The same with finite values, whose `valid` is false where the value was not finite; and whether any was.
+        The same with finite values, whose `valid` is false where the value was not finite, and everywhere where a field
+        `dt` is negative or not finite, which is then 0; and whether any was.
     """
-    bad = []
+    bad, timely = [], jnp.ones((), bool)
+    if hasattr(measurement, "dt"):
+        dt, timely = elapsed(measurement.dt)
+        measurement = measurement._replace(dt=dt)
+        bad.append(~timely)
 
     def mend(leaf: Any) -> Any:
         if not isinstance(leaf, Reading):
@@ -213,7 +219,7 @@ def clean(measurement: PyTree) -> tuple[PyTree, Array]:
             inner = tuple(range(valid.ndim, jnp.ndim(value)))
             finite = finite & jnp.all(jnp.isfinite(value), axis=inner)
         bad.append(jnp.any(valid & ~finite))
-        valid = valid & finite
+        valid = valid & finite & timely
         return Reading(jax.tree.map(lambda v: jnp.where(_wide(valid, v), v, 0), leaf.value), valid)
 
     mended = jax.tree.map(mend, measurement, is_leaf=lambda x: isinstance(x, Reading))
