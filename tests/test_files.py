@@ -10,7 +10,7 @@ import pytest
 from jaxest import kinematics, models
 from jaxest.calibration import imu
 from jaxest.files import kept
-from jaxest.io import SensorLog, Stream, chains, read, studies, write
+from jaxest.io import SensorLog, Stream, chains, pieces, read, studies, write
 from jaxest.io.checkpoint import save_state
 from jaxest.io.clouds import Cloud, write_cloud
 from jaxest.io.config import write_config
@@ -124,6 +124,44 @@ KEPT = {
     "iwao2025, scans": (table, "scans/*.npz"),
     "iwao2025, runs": (table, "runs/*.json"),
 }
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_pieces_of_other_code_are_told_and_not_used(tmp_path, name, monkeypatch):
+    make, pattern = KEPT[name]
+    folder = tmp_path / "kept"
+    make(folder)
+    make(folder)  # of this code: used
+    before = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    monkeypatch.setattr(pieces, "code", lambda parts=(): "jaxest 9.9, code 0123456789ab")
+    if "scans" in name:  # figures are judged before the scans that they come from
+        for file in folder.glob("runs/*"):
+            before.pop(file)
+            file.unlink()
+    place = next(folder.glob(pattern)).parent
+    with pytest.raises(InputError, match=rf"{place}: its pieces were made by jaxest .*, expected jaxest 9.9, .*delete"):
+        make(folder)
+    (place / pieces.RECORD).unlink()
+    with pytest.raises(InputError, match=r"made by code that left no record"):
+        make(folder)
+    kept = {file: raw for file, raw in before.items() if file.name != pieces.RECORD}
+    assert all(file.read_bytes() == raw for file, raw in kept.items())
+
+
+def test_the_code_of_pieces_is_that_of_their_sources(tmp_path, monkeypatch):
+    def package(text):
+        for name, content in (("systems/a.py", text), ("metrics.py", "1"), ("cli/b.py", text), ("__init__.py", "")):
+            (tmp_path / name).parent.mkdir(exist_ok=True)
+            (tmp_path / name).write_text(content)
+        pieces.code.cache_clear()
+        return pieces.code(), pieces.code(("metrics",)), pieces.code(("metrics", "cli"))
+
+    try:
+        monkeypatch.setattr(pieces.jaxest, "__file__", str(tmp_path / "__init__.py"))
+        one, other = package("x = 1"), package("x = 2")
+    finally:
+        pieces.code.cache_clear()
+    assert [a == b for a, b in zip(one, other, strict=True)] == [False, True, False]
 
 
 @pytest.mark.parametrize("spoil", [lambda raw: raw[: len(raw) // 2], lambda raw: b"", lambda raw: b"[]"])

@@ -254,5 +254,5 @@ def test_a_study_goes_on_and_refuses_another(tmp_path):
     np.testing.assert_array_equal(studies.study(twice, items, piece=3, folder=tmp_path), found)
     assert len(calls) == 1
     np.testing.assert_array_equal(studies.study(twice, items, piece=7), found)
-    with pytest.raises(InputError, match="belongs to a study of other items"):
+    with pytest.raises(InputError, match="belongs to a run with other data"):
         studies.study(twice, items + 1, piece=3, folder=tmp_path)

@@ -169,8 +169,7 @@ def _search(
     import jax
 
     from jaxest import parallel, tuning
-    from jaxest.files import kept
-    from jaxest.io import load_state, save_state
+    from jaxest.io import pieces
 
     batch = tuning.padded(given.recordings)
     count = len(given.recordings) - held_out
@@ -179,15 +178,16 @@ def _search(
     draw, key = jax.random.split(jax.random.key(seed))
     points = tuning.disperse(given.space, starts, key=draw, spread=spread, dtype=given.dtype)
     search = tuning.begin(problem, given.method, points)
+    code = pieces.code((*pieces.ESTIMATE, "tuning"))
+    mark = pieces.fingerprint((code, given.label, points, seed, parts))
     leads = jax.process_index() == 0
     if checkpoint is not None and leads and checkpoint.exists():
-        with kept(checkpoint):
-            search = load_state(checkpoint, search)
+        search = pieces.load(checkpoint, search, mark)
     search = parallel.from_first(search)
 
     def keep(search: Any) -> None:
         if checkpoint is not None and leads:
-            save_state(checkpoint, search, overwrite=True)
+            pieces.save(checkpoint, search, mark, overwrite=True)
 
     def progress(line: str) -> None:
         say(f"{line} {given.unit}" if given.scale == 1 else _scaled(line, given))

@@ -1,22 +1,21 @@
 """Long runs of Markov chains on the host: in pieces that are kept, with progress, and as ArviZ `InferenceData`.
 
-A piece is a checkpoint (`io.checkpoint`): the chains after it and its draws. The same call with the same folder goes on
+A piece is a checkpoint (`io.pieces`): the chains after it and its draws. The same call with the same folder goes on
 from the last one, and gives the same draws as a run that was never stopped.
 """
 
 import time
-import zlib
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.files import PathLike, kept
-from jaxest.io.checkpoint import load_state, save_state
+from jaxest.files import PathLike
+from jaxest.io import pieces
 from jaxest.io.extras import need
-from jaxest.types import InputError, PyTree
+from jaxest.io.pieces import fingerprint
+from jaxest.types import PyTree
 
 Advance = Callable[[Any, int], tuple[Any, Any]]
 """`(chains, iterations) -> (chains, history)`, leaves of the history (iterations, ...)."""
@@ -47,52 +46,30 @@ def sample(
         The chains, and the history with leaves (iterations, ...), NumPy arrays.
 
     Raises:
-        InputError: the folder holds pieces of another run, or one that cannot be read.
+        InputError: the folder holds pieces of another run or of other code, or one that cannot be read.
     """
     import jax
 
     mark = fingerprint((identity, chains, piece))
-    place = None if folder is None else Path(folder)
-    if place is not None:
-        place.mkdir(parents=True, exist_ok=True)
+    place = None if folder is None else pieces.folder(folder)
     found, done, begun, fresh = list[PyTree](), 0, time.monotonic(), 0
     while done < iterations:
         size = min(piece, iterations - done)
         file = None if place is None else place / f"piece{done:07d}_{size}.npz"
         if file is not None and file.exists():
             like = jax.eval_shape(lambda c, size=size: advance(c, size), chains)
-            chains, history = _load(file, like, mark)
+            chains, history = pieces.load(file, like, mark)
         else:
             chains, history = jax.block_until_ready(advance(chains, size))
             fresh += size
             if file is not None:
-                save_state(file, {"mark": np.uint32(mark), "chains": chains, "history": history})
+                pieces.save(file, (chains, history), mark)
         found.append(jax.tree.map(np.asarray, history))
         done += size
         if say:
             left = (time.monotonic() - begun) / max(fresh, 1) * (iterations - done)
             say(f"{done} of {iterations} iterations" + (f", about {left:.0f} s left" if fresh and left >= 1 else ""))
     return chains, jax.tree.map(lambda *parts: np.concatenate(parts), *found)
-
-
-def _load(file: Path, like: tuple[PyTree, PyTree], mark: int) -> tuple[PyTree, PyTree]:
-    with kept(file):
-        found = load_state(file, {"mark": np.uint32(0), "chains": like[0], "history": like[1]})
-    if int(found["mark"]) != mark:
-        raise InputError(f"{file}: belongs to a run with other data, settings or starts; choose another folder")
-    return found["chains"], found["history"]
-
-
-def fingerprint(tree: PyTree) -> int:
-    """Return a checksum of all arrays of a tree, by which pieces of another run are told apart."""
-    import jax
-
-    mark = 0
-    for leaf in jax.tree.leaves(tree):
-        key = hasattr(leaf, "dtype") and jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
-        array = np.ascontiguousarray(np.asarray(jax.random.key_data(leaf) if key else leaf))
-        mark = zlib.crc32(array.tobytes(), mark)
-    return mark
 
 
 def inference_data(

@@ -1,20 +1,19 @@
 """Many independent runs, in pieces that are kept and merged to one file: Monte-Carlo runs, recordings, parameter sets.
 
-A piece is a checkpoint. The same call with the same folder goes on from those that are there, with the same results, on
-any number of devices and processes. Where there are several processes, that of rank 0 reads and writes.
+A piece is a checkpoint (`io.pieces`). The same call with the same folder goes on from those that are there, with the
+same results, on any number of devices and processes; of several processes, that of rank 0 reads and writes.
 """
 
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxest.files import PathLike, kept
-from jaxest.io.chains import fingerprint
-from jaxest.io.checkpoint import load_state, save_state
-from jaxest.types import InputError, PyTree
+from jaxest.files import PathLike
+from jaxest.io import pieces
+from jaxest.io.checkpoint import save_state
+from jaxest.types import PyTree
 
 MERGED = "results.npz"
 
@@ -43,7 +42,7 @@ def study(
         The results, leaves (N, ...), NumPy arrays, whole on every process.
 
     Raises:
-        InputError: the folder holds pieces of another study, or one that cannot be read.
+        InputError: the folder holds pieces of another study or of other code, or one that cannot be read.
         RuntimeError: another process was lost; pieces that are done are kept.
     """
     import jax
@@ -51,16 +50,14 @@ def study(
     from jaxest import parallel
 
     count = len(jax.tree.leaves(items)[0])
-    mark = fingerprint((identity, items, piece))
+    mark = pieces.fingerprint((identity, items, piece))
     leads = jax.process_index() == 0
-    place = None if folder is None or not leads else Path(folder)
-    if place is not None:
-        place.mkdir(parents=True, exist_ok=True)
+    place = None if folder is None or not leads else pieces.folder(folder)
     like = jax.eval_shape(run, jax.tree.map(lambda x: x[np.minimum(np.arange(piece), count - 1)], items))
     found, begun, fresh = [], time.monotonic(), 0
     for first in range(0, count, piece):
         file = None if place is None else place / f"items{first:08d}_{piece}.npz"
-        old = None if file is None or not file.exists() else _load(file, like, mark)
+        old = None if file is None or not file.exists() else pieces.load(file, like, mark)
         if parallel.from_first(np.asarray(old is not None)):
             blank = jax.tree.map(lambda x: np.zeros(x.shape, x.dtype), like)
             part = jax.tree.map(np.asarray, parallel.from_first(blank if old is None else old))
@@ -69,7 +66,7 @@ def study(
             part = _together(run, jax.tree.map(lambda x, rows=rows: x[rows], items), first, parallel.gather)
             fresh += piece
             if file is not None:
-                save_state(file, {"mark": np.uint32(mark), "results": part})
+                pieces.save(file, part, mark)
         found.append(part)
         done = min(first + piece, count)
         if say and leads:
@@ -98,14 +95,6 @@ def _together(run: Any, part: PyTree, first: int, gather: Any) -> PyTree:
             f"another process was lost in the piece from run {first}; start all again with the same folder, earlier "
             f"pieces are kept ({str(error).splitlines()[0]})"
         ) from error
-
-
-def _load(file: Path, like: PyTree, mark: int) -> PyTree:
-    with kept(file):
-        found = load_state(file, {"mark": np.uint32(0), "results": like})
-    if int(found["mark"]) != mark:
-        raise InputError(f"{file}: belongs to a study of other items or settings; choose another folder")
-    return found["results"]
 
 
 __all__ = ["MERGED", "study"]

@@ -68,6 +68,9 @@ def test_a_kept_search_goes_on(invoke, files):
     for evaluations in (2, 4):
         rows = {row["metric"]: row for row in json.loads(invoke(*words, evaluations).stdout)["rows"]}
         assert rows["evaluations"]["value"] == evaluations
+    other = invoke(*words, 4, "--seed", 1)
+    assert other.exit_code == 2
+    assert "kept.npz: belongs to a run with other data" in other.stderr
 
 
 @pytest.mark.slow

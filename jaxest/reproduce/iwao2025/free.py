@@ -127,7 +127,7 @@ def crawling(one: Condition, plan: runs.Plan, folder: Path | None) -> runs.Made:
     """Simulate the structure's motion on the ground with contact and cast its rays, or read them."""
     room = rooms.room(plan.seed, reach=(one.links + 1) * rooms.LENGTHS.get(one.links, 0.17), free=True)
     believed = rooms.sensors(one.links, rows=one.rows, columns=one.columns)
-    path = runs.keep(folder) / "scans" / f"free_{one.links}_{one.rows}x{one.columns}_{plan.seed}_{plan.seconds:g}s.npz"
+    path = runs.scans(folder, f"free_{one.links}_{one.rows}x{one.columns}_{plan.seed}_{plan.seconds:g}s")
     if path.is_file():
         return runs.Made(room, believed, proximity.load(path))
     q = _moved(one.links, plan.seed, plan.seconds)[:: round(plan.dt / FINE)]

@@ -16,8 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest import kinematics
-from jaxest.files import kept, write_text
+from jaxest.files import write_text
 from jaxest.filters import run
+from jaxest.io import pieces
 from jaxest.manifolds import quaternion
 from jaxest.reproduce.iwao2025.conditions import CHAIN, Condition
 from jaxest.sensors.proximity import Proximity, tilted
@@ -26,6 +27,7 @@ from jaxest.systems import slam, slam_chain
 from jaxest.types import Reading, System
 
 BIAS = 0.05
+CODE = (*pieces.ESTIMATE, "reproduce/iwao2025")
 NEAR = 0.05  # m, map points this near to a surface are right
 
 
@@ -46,12 +48,11 @@ class Made(NamedTuple):
     scan: proximity.Scan
 
 
-def keep(folder: Path | None) -> Path:
-    """Return the folder that keeps simulations and results; without one, simulations are kept until this run ends."""
-    if folder:
-        return folder
+def scans(folder: Path | None, name: str) -> Path:
+    """Return the file that keeps a simulation; without a folder it is kept until this run ends."""
     parent = multiprocessing.parent_process()
-    return _for_now(parent.pid if parent and parent.pid else os.getpid())
+    place = folder or _for_now(parent.pid if parent and parent.pid else os.getpid())
+    return pieces.folder(place / "scans", pieces.SIMULATION) / f"{name}.npz"
 
 
 @functools.cache
@@ -67,7 +68,7 @@ def simulated(one: Condition, plan: Plan, folder: Path | None) -> Made:
     room = rooms.room(plan.seed, reach=(one.links + 1) * rooms.LENGTHS.get(one.links, 0.17))
     believed = rooms.sensors(one.links, rows=one.rows, columns=one.columns)
     tag = f"{one.links}_{one.rows}x{one.columns}_{one.tilt_deg:g}_{plan.seed}_{plan.seconds:g}s"
-    path = keep(folder) / "scans" / f"{tag}.npz"
+    path = scans(folder, tag)
     if path.is_file():
         return Made(room, believed, proximity.load(path))
     model = proximity.compiled(rooms.scene(one.links, room))
@@ -207,20 +208,21 @@ def _boxes(room: rooms.Room) -> boxes.Boxes:
 def result(name: str, one: Condition, plan: Plan, folder: Path | None) -> dict[str, Any]:
     """Return the figures of a run, computed unless they were kept."""
     tag = "_".join(name.replace("%", "pc").replace("'", "").split())
-    path = keep(folder) / "runs" / f"{tag}_{plan.seed}_{plan.seconds:g}s.json"
-    if folder is not None and path.is_file():
-        with kept(path):
-            old: dict[str, Any] = json.loads(path.read_text())
-            if not isinstance(old, dict) or "mean" not in old:
-                raise ValueError("it holds no figures of a run")
-        return old
-    made = simulated(one, plan, folder)
-    found = estimated(one, plan, made, name == CHAIN)
-    out = figures(one, made, found, name == CHAIN)
-    if folder is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_text(path, json.dumps(out), overwrite=True)
-    return out
+    file = f"{tag}_{plan.seed}_{plan.seconds:g}s.json"
+    path = None if folder is None else pieces.folder(folder / "runs", CODE) / file
+
+    def compute() -> dict[str, Any]:
+        made = simulated(one, plan, folder)
+        return figures(one, made, estimated(one, plan, made, name == CHAIN), name == CHAIN)
+
+    return pieces.made(path, compute, _read, lambda path, found: write_text(path, json.dumps(found), overwrite=True))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(path.read_text())
+    if not isinstance(found, dict) or "mean" not in found:
+        raise ValueError("it holds no figures of a run")
+    return found
 
 
 __all__ = ["BIAS", "Found", "Made", "Plan", "estimated", "figures", "measurements", "nees", "result", "simulated"]

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest import files
-from jaxest.io import npz
+from jaxest.io import npz, pieces
 
 Arrays = Mapping[str, NDArray[Any]]
+CODE = (*pieces.ESTIMATE, "reproduce/santaera2015")
 
 
 def piece(work: Path | None, name: str, compute: Callable[[], Arrays]) -> Arrays:
@@ -24,16 +24,12 @@ def piece(work: Path | None, name: str, compute: Callable[[], Arrays]) -> Arrays
     Returns:
         The arrays.
     """
-    if work is None:
-        return compute()
-    path = work / "santaera2015" / f"{name}.npz"
-    if path.is_file():
-        with files.kept(path):
-            return npz.load(path).arrays
-    made = {key: np.asarray(value) for key, value in compute().items()}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    npz.save(path, made)
-    return made
+
+    def arrays() -> Arrays:
+        return {key: np.asarray(value) for key, value in compute().items()}
+
+    path = None if work is None else pieces.folder(work / "santaera2015", CODE) / f"{name}.npz"
+    return pieces.made(path, arrays, lambda path: npz.load(path).arrays, npz.save)
 
 
 __all__ = ["piece"]
