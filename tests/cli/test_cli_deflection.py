@@ -217,6 +217,27 @@ def test_the_first_config_of_robot_and_log_are_accepted(invoke, log, tmp_path):
         assert found[1].sensor.frames == ("site:imu2",)
 
 
+@pytest.mark.parametrize(("left", "right"), [("left_", "right_"), ("l/", "r/")])
+def test_a_robot_of_two_arms_is_given_a_stream_for_each(invoke, tmp_path, left, right):
+    def arm(side, at):
+        return (
+            f'<body pos="0 {at} 0"><joint name="{side}up" axis="0 1 0"/><geom size=".1"/>'
+            f'<body pos=".5 0 0"><joint name="{side}out" axis="0 1 0"/><geom size=".1"/></body></body>'
+        )
+
+    (tmp_path / "two.xml").write_text(f"<mujoco><worldbody>{arm(left, 0.3)}{arm(right, -0.3)}</worldbody></mujoco>")
+    text = json.loads(invoke("inspect", "two.xml", "--json").stdout)["config"]
+    time, names = np.arange(40) / 10, {side[:-1]: (f"{side}up", f"{side}out") for side in (left, right)}
+    streams = {f"{side}/joint_position": Stream(time, np.full((40, 2), 0.1 + k), "rad") for k, side in enumerate(names)}
+    write(SensorLog(streams), tmp_path / "log.npz")
+    (tmp_path / "c.toml").write_text(text)
+    result = invoke("estimate", "log.npz", "-m", "deflection", "-r", "two.xml", "-c", "c.toml")
+    assert result.exit_code == 0, result.output
+    joints = read(tmp_path / "jaxest-out/estimate.npz").streams["joints"]
+    assert joints.names == tuple(name for pair in names.values() for name in pair)
+    np.testing.assert_allclose(joints.value[-1], [0.1, 0.1, 1.1, 1.1], atol=0.15)
+
+
 def test_slides_and_balls_are_estimated_where_they_are_named(invoke, refused, tmp_path):
     """The crane stands still, bent; its first config, with the marker's stream, is enough."""
     (tmp_path / "crane.xml").write_text(CRANE)

@@ -14,6 +14,7 @@ ATTITUDES = ("ekf", "complementary", "madgwick")
 PROPOSALS = ("guided", "bootstrap")
 NOISES = ("von_mises", "gaussian")
 TIPS = ("end_effector", "tip", "tool", "tcp", "marker")
+SIDES = ("left", "right", "l", "r")
 RAW = {"gyroscope", "accelerometer"}
 
 
@@ -160,19 +161,34 @@ def of_robot(joints: Mapping[str, str], frames: Sequence[str]) -> str:
         frames: names of the frames.
 
     Returns:
-        TOML text: encoders, an orientation for each site that sounds like an IMU, a position for one at the end. Slides
-        and balls are named, as only hinges are estimated otherwise.
+        TOML text: encoders (a stream an arm where names tell arms apart), an orientation for each site that sounds like
+        an IMU, a position for one at the end. Slides and balls are named, as only hinges are estimated otherwise.
     """
     hinges, slides, balls = ([n for n, kind in joints.items() if kind == k] for k in ("hinge", "slide", "ball"))
     named = f"joints = {json.dumps([*hinges, *slides, *balls])}\n" if slides or balls else ""
     sites = [frame.removeprefix("site:") for frame in frames if frame.startswith("site:")]
     imus = [site for site in sites if "imu" in site.lower()]
     tips = [s for s in sites if any(word in s.lower() for word in TIPS)]
-    found = [_encoders("joint_position", hinges)] if hinges else []
-    found += [_slides("joint_position", slides)] if slides else []
+    arms = _arms([*hinges, *slides])
+    found = []
+    for arm, owned in arms.items():
+        stream, some = f"{arm}/joint_position".lstrip("/"), len(arms) > 1
+        for kind, write in ((hinges, _encoders), (slides, _slides)):
+            mine = [name for name in kind if name in owned]
+            found += [write(stream, mine, arm, some)] if mine else []
     found += [_table(imu, "link_orientation", f"{imu}/orientation", f"site:{imu}") for imu in imus]
     found += [_table(tip, "link_position", f"{tip}/position", f"site:{tip}") for tip in tips]
     return f"[deflection]\n{named}\n" + "\n".join(found)
+
+
+def _arms(names: Sequence[str]) -> dict[str, set[str]]:
+    """Joints by the arm that each name begins with (`right_elbow`, `a/elbow`), as logs have them; else all of none."""
+    found: dict[str, set[str]] = {}
+    for name in names:
+        side, _, rest = name.partition("_")
+        arm = name.rpartition("/")[0] or (side if rest and side.lower() in SIDES else "")
+        found.setdefault(arm, set()).add(name)
+    return found if len(found) > 1 and "" not in found else {"": set(names)}
 
 
 def of_log(log: SensorLog) -> str:
@@ -227,20 +243,30 @@ def _identifier(name: str) -> str:
     return plain if plain.isidentifier() and not plain.startswith("_") else f"sensor_{plain.strip('_')}"
 
 
-def _encoders(stream: str, joints: Sequence[str]) -> str:
-    named = f"# joints = {json.dumps(list(joints))}  # of the columns, in this order\n" if joints else ""
+def _encoders(stream: str, joints: Sequence[str], arm: str = "", some: bool = False) -> str:
     return (
-        f'[deflection.sensors.encoders]\nkind = "joint_angle"\nstream = {json.dumps(stream)}\n{named}'
+        f'[deflection.sensors.{_of(arm, "encoders")}]\nkind = "joint_angle"\nstream = {json.dumps(stream)}\n'
+        f"{_columns(joints, some)}"
         "concentration = 15.0  # 1 / sd^2, sd in rad: 15 deg of bend; yours, or one for each joint: bands rest on it\n"
     )
 
 
-def _slides(stream: str, joints: Sequence[str]) -> str:
+def _slides(stream: str, joints: Sequence[str], arm: str = "", some: bool = False) -> str:
     return (
-        f'[deflection.sensors.slides]\nkind = "slide_position"\nstream = {json.dumps(stream)}\n'
-        f"# joints = {json.dumps(list(joints))}  # of the columns, in this order\n"
+        f'[deflection.sensors.{_of(arm, "slides")}]\nkind = "slide_position"\nstream = {json.dumps(stream)}\n'
+        f"{_columns(joints, some)}"
         "variance = 1e-4  # sd^2, sd in m: how far slides may be from what is read, 1 cm here\n"
     )
+
+
+def _of(arm: str, what: str) -> str:
+    return _identifier(f"{arm}_{what}") if arm else what
+
+
+def _columns(joints: Sequence[str], some: bool) -> str:
+    """Whose the columns are: said where they are some of the robot's joints, else for whoever needs it."""
+    line = f"joints = {json.dumps(list(joints))}  # of the columns, in this order\n"
+    return ("" if some else "# ") + line if joints else ""
 
 
 def _table(name: str, kind: str, stream: str, frame: str, imu: str = "") -> str:
