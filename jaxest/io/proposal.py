@@ -316,7 +316,7 @@ def _with_unit(raw: Raw, name: str, streams: dict[str, _Found], assumed: list[st
         unit = _degrees(name, unsure)
     elif kind == "joint_position" and (most := _largest(value)) > 4 * np.pi:
         unit = "deg"
-        unsure.append(f"{name}: values up to {most:.4g}, in rad more than two turns; deg?")
+        unsure.append(f"{name}: values up to {most:.4g}, in rad more than two turns, so probably in deg")
     elif kind == "orientation" and acc is not None:
         order = plausible.quaternion_order(value, acc)
         if order.endswith("inverse"):
@@ -348,7 +348,7 @@ def _as_others(raw: Raw, name: str, streams: dict[str, _Found]) -> str:
 
 def _degrees(name: str, unsure: list[str]) -> str:
     """Say that a gyroscope's rates cannot be rad/s, and return the unit to propose."""
-    unsure.append(f"{name}: faster than any gyroscope in rad/s; deg/s?")
+    unsure.append(f"{name}: faster than any gyroscope in rad/s, so probably in deg/s")
     return "deg/s"
 
 

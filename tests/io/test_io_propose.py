@@ -243,4 +243,4 @@ def test_joints_in_degrees_and_matrices_of_rows_for_axes_are_asked(tmp_path):
     assert "Acc (3, 400): seems transposed, expected (n, 3)" in found.unsure
     found = propose(save(tmp_path, t=np.arange(N) / 10, q=np.linspace(0, 100, 3 * N).reshape(N, 3)))
     assert found.table.streams["joint_position"].unit == "deg"
-    assert any("up to 100, in rad more than two turns; deg?" in line for line in found.unsure)
+    assert any("up to 100, in rad more than two turns, so probably in deg" in line for line in found.unsure)
