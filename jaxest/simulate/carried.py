@@ -14,7 +14,7 @@ from jaxest.filters.imu import Imu, imu
 
 Array = NDArray[np.float64]
 GRAVITY = 9.81
-FIELD = np.array([0, 18.0, -41.0])  # uT, east, north, up
+FIELD = np.array([0, 18e-6, -41e-6])  # T, east, north, up
 
 
 class Sensor(NamedTuple):

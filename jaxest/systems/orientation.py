@@ -1,6 +1,7 @@
 """Orientation of a single IMU, by whichever filter, and data to try it on."""
 
 import functools
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -17,6 +18,8 @@ from jaxest.simulate.noise import coloured
 from jaxest.types import Array, PyTree, System, unknown_name
 
 SENSORS = ("gyroscope", "accelerometer", "magnetometer")
+FIELD = (0.0, 18e-6, -41e-6)
+"""T, the earth's magnetic field that `simulate` draws with: east, north, up."""
 
 
 class Truth(NamedTuple):
@@ -113,7 +116,7 @@ def simulate(
         magnetic: whether there is a magnetometer, static.
 
     Returns:
-        Measurements with leading axis T, all valid (the field in microtesla, dipping by 66 deg to the north), and the
+        Measurements with leading axis T, all valid (the field in tesla, 45 uT that dip by 66 deg to the north), and the
         truth. The orientation is uniform at the start, so without a magnetometer compare headings with
         `jaxest.metrics.align_heading`.
 
@@ -134,10 +137,10 @@ def simulate(
     gyroscope = rate + bias + given.gyroscope / jnp.sqrt(dt) * hiss
     shaken = jnp.asarray(shaking, dtype) * coloured(moves, steps, 3, dt, given.motion_time, dtype)
     force = given.gravity * jnp.array([[0, 0, 1]], dtype) + shaken
-    field = jnp.broadcast_to(jnp.array([0, 18, -41], dtype), (steps, 3))
+    field = jnp.broadcast_to(jnp.array(FIELD, dtype), (steps, 3))
     per_density = 1 / jnp.sqrt(_density(dt, time))
     sway = given.gravity * given.accelerometer * per_density * coloured(forces, steps, 3, dt, time, dtype)
-    uneven = 44.8 * given.magnetometer * per_density * coloured(fields, steps, 3, dt, time, dtype)
+    uneven = math.hypot(*FIELD) * given.magnetometer * per_density * coloured(fields, steps, 3, dt, time, dtype)
     accelerometer = _seen(quaternion, force) + sway
     magnetometer = _seen(quaternion, field) + uneven if magnetic else None
     measurements = imu(gyroscope, accelerometer, magnetometer, dt=jnp.broadcast_to(dt, (steps,)))

@@ -23,7 +23,7 @@ def test_perfect_readings_integrate_to_the_truth(name):
     force = path.apply(np.asarray(rows.accelerometer.value, float)) - [0, 0, carried.GRAVITY]
     np.testing.assert_allclose(force, truth.acceleration, atol=1e-4)
     np.testing.assert_allclose(path.apply(np.asarray(rows.magnetometer.value, float)), len(path) * [carried.FIELD],
-                               atol=1e-3)  # fmt: skip
+                               atol=1e-9)  # fmt: skip
 
 
 def test_vehicles_are_fast_and_arms_stay():

@@ -117,7 +117,7 @@ def test_what_is_simulated_is_what_the_conventions_say(x64):
     up = np.einsum("tij,tj->ti", matrices, m.accelerometer.value)
     north = np.einsum("tij,tj->ti", matrices, m.magnetometer.value)
     np.testing.assert_allclose(up, np.tile([0, 0, 9.81], (400, 1)), atol=1e-9)
-    np.testing.assert_allclose(north, np.tile([0, 18, -41], (400, 1)), atol=1e-9)
+    np.testing.assert_allclose(north, np.tile([0, 18e-6, -41e-6], (400, 1)), atol=1e-15)
 
 
 def test_simulated_noise_has_the_density_that_is_asked_for():
