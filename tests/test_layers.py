@@ -9,6 +9,7 @@ PACKAGE = Path(jaxest.__file__).parent
 LAYERS = [
     "types",
     "files",
+    "stamps",
     "derivatives",
     "linalg",
     "manifolds",

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from jaxest.io import SensorLog, Stream, interpolate
 from jaxest.io.log import stream, where
+from jaxest.stamps import longest
 from jaxest.types import InputError
 
 UNIT_LENGTH = 0.02  # what a recorded unit quaternion may be off
-GAP = 5.0  # median intervals of the truth; nothing is made up across a longer gap
 
 
 def at(
@@ -39,8 +39,7 @@ def at(
             f"{time[0]:.3f} to {time[-1]:.3f} s; expected times in common"
         )
     streams = {"orientation": item} | ({} if movement is None else {"movement": movement._replace(unit="1")})
-    gap = GAP * float(np.median(np.diff(item.time))) if len(item.time) > 1 else 0.0
-    found = interpolate(SensorLog(streams, log.source), None, time, max_gap=gap, nan="invalid").readings
+    found = interpolate(SensorLog(streams, log.source), None, time, max_gap=longest(item.time), nan="invalid").readings
     value, valid = found["orientation"]
     truth = np.where(np.asarray(valid)[:, None], np.asarray(value, np.float64), np.nan)
     return truth, _flags(found.get("movement"))
@@ -61,7 +60,7 @@ def joints(
         (T, c), interpolated; NaN where the truth is unknown or more than a gap away.
     """
     value = np.asarray(item.value, np.float64).reshape(len(item.time), -1)
-    gap = GAP * float(np.median(np.diff(item.time))) if len(item.time) > 1 else 0.0
+    gap = longest(item.time)
     found = np.full((len(time), len(angles)), np.nan)
     for at, column in columns.items():
         there = np.isfinite(value[:, column])

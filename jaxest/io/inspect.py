@@ -6,12 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest import stamps
 from jaxest.io import plausible, units
 from jaxest.io.align import interpolate
 from jaxest.io.log import SensorLog, Stream, check, finite_rows
 
-GAP = 2.0
-"""A gap is a step longer than this many median steps."""
 RUN = 5
 """A channel is saturated if it stays at its extreme this often in a row, having arrived at speed."""
 DRIFT = 1e-4
@@ -22,7 +21,7 @@ _ARRIVAL, _QUANTA = 0.3, 2.5  # of the rms step, of the smallest step
 
 
 class Gaps(NamedTuple):
-    """Steps longer than `GAP` median steps."""
+    """Steps longer than `stamps.GAP` median steps."""
 
     number: int
     longest: float
@@ -109,7 +108,7 @@ def _describe(name: str, item: Stream) -> StreamSummary:
     steps = np.diff(item.time)
     period = float(np.median(steps)) if len(steps) else float("nan")
     jitter = 1.4826 * float(np.median(np.abs(steps - period))) if len(steps) else 0.0
-    long = np.flatnonzero(steps > GAP * period * (1 + 1e-9))
+    long = stamps.gaps(item.time)
     worst = int(long[np.argmax(steps[long])]) if len(long) else -1
     gaps = Gaps(len(long), float(steps[worst]), float(item.time[worst])) if len(long) else Gaps(0, 0.0, float("nan"))
     finite = finite_rows(item.value)

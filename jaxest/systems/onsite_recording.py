@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from jaxest.calibration import clock
 from jaxest.filters import savitzky_golay as sg
 from jaxest.manifolds import quaternion as quat
+from jaxest.stamps import longest
 from jaxest.systems import onsite_batch
 from jaxest.systems._onsite_clipped import clipped, without_clipped
 from jaxest.systems.onsite_simulation import Pair
 from jaxest.types import InputError, Reading
 
-GAP = 3.0  # median intervals between P's samples over which nothing is interpolated
 ALIGNING = (3, 5)  # N and M of the fit that brings P's readings to A's stamps: next to no smoothing
 MOST_CLIPPED = 0.1  # share of clipped samples above which the rest says too little of the quick motion
 LOOSE = (0.15, 4.0)  # residual of the rates over their size, and over their noise, above which no link is rigid
@@ -97,7 +97,7 @@ def brought(imu: Imu, time: NDArray[np.float64]) -> tuple[NDArray[np.float64], N
     values = np.hstack([imu.gyroscope, imu.accelerometer])
     fitted = sg.smooth(imu.time, values, query=time, half_width=half_width, degree=degree)
     right = np.clip(np.searchsorted(imu.time, time), 1, len(imu.time) - 1)
-    near = imu.time[right] - imu.time[right - 1] <= GAP * float(np.median(np.diff(imu.time)))
+    near = imu.time[right] - imu.time[right - 1] <= longest(imu.time)
     return np.asarray(fitted.value, np.float64), np.asarray(fitted.valid) & near
 
 

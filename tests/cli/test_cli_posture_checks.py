@@ -57,4 +57,4 @@ def test_gaps_are_told():
     cut = {name: Stream(s.time[keep], s.value[keep], s.unit) for name, s in log.streams.items()}
     notes = posture_checks.check(SensorLog(cut), "hand", KINDS)
     assert len(notes) == 3
-    assert "hand/gyroscope has 1 gaps, the longest 3.01 s" in notes[0]
+    assert "hand/gyroscope has a gap of 3.01 s" in notes[0]

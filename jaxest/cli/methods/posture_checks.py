@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from jaxest.io import SensorLog, Stream, plausible
 from jaxest.io.log import stream, where
+from jaxest.stamps import gaps
 from jaxest.types import InputError
 
 ALIKE = 0.02
@@ -120,14 +121,11 @@ def _field(place: str, item: Stream) -> None:
 
 
 def _gaps(name: str, item: Stream) -> list[str]:
-    steps = np.diff(item.time)
-    if len(steps) == 0:
+    long = np.diff(item.time)[gaps(item.time)]
+    if len(long) == 0:
         return []
-    longest, usual = float(steps.max()), float(np.median(steps))
-    many = int(np.sum(steps > 3 * usual))
-    if longest <= 3 * usual:
-        return []
-    return [f"{name} has {many} gaps, the longest {longest:.2f} s: bridged by prediction, with a growing covariance"]
+    many = "a gap of" if len(long) == 1 else f"{len(long)} gaps, the longest"
+    return [f"{name} has {many} {long.max():.2f} s: bridged by prediction, with a growing covariance"]
 
 
 __all__ = ["check"]

@@ -1,0 +1,33 @@
+"""Time stamps of recordings: one rule, on the host, for what a gap is."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+GAP = 2.5
+"""A gap is a step longer than this many median steps: two samples are lost. Nothing is made up across one."""
+
+
+def longest(time: NDArray[np.float64]) -> float:
+    """Return the longest step that is no gap.
+
+    Args:
+        time: (n,) s, increasing.
+
+    Returns:
+        s, `GAP` median steps; 0 for less than two stamps.
+    """
+    return GAP * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+
+
+def gaps(time: NDArray[np.float64]) -> NDArray[Any]:
+    """Return the rows (k,) after which there is a gap.
+
+    Args:
+        time: (n,) s, increasing.
+    """
+    return np.flatnonzero(np.diff(time) > longest(time))
+
+
+__all__ = ["GAP", "gaps", "longest"]
