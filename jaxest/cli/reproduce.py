@@ -61,6 +61,7 @@ def run(
     folder = _folder(out, [f"{name}.png" for name in names], force) if out else None
     choice = reproduce.Choice(seed, small, runs, tuple(row or ()), setting, broad, work)
     rows: list[Row] = []
+    drawn = False
     begun = time.perf_counter()
     with working(f"{paper} ...") as say:
         for section in reproduce.sections(paper, names, choice=choice, say=say):
@@ -68,12 +69,13 @@ def run(
             if folder and section.draw:
                 folder.mkdir(parents=True, exist_ok=True)
                 section.draw(folder / f"{section.name}.png")
+                drawn = True
             if not json:
                 console().print(figures(section.rows, section.title))
     rows.append(Row("run time", "compilation included", time.perf_counter() - begun, "s"))
     if json:
         return Answer(to_json(report(paper, rows)))
-    note(f"{paper}: {len(names)} parts in {rows[-1].value:.0f} s" + (f"; pictures in {folder}" if folder else ""))
+    note(f"{paper}: {len(names)} parts in {rows[-1].value:.0f} s" + (f"; pictures in {folder}" if drawn else ""))
     return Answer()
 
 

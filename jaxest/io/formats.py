@@ -123,7 +123,7 @@ def read(path: PathLike, columns: ColumnTable | Mapping[str, Any] | None = None)
     guess = proposal.guess(raw)
     if guess.unsure:
         raise InputError(
-            f"{path}: not in jaxest's own layout, and its names leave something open: {'; '.join(guess.unsure)}. "
+            f"{path}: not in jaxest's own layout, and its names leave something open: {'; '.join(guess.unsure)}\n"
             f"Put the right lines into a config:\n{to_toml(guess)}"
         )
     log = table_module.apply(raw, guess.table)

@@ -23,6 +23,14 @@ def test_small_figures_as_tables_pictures_and_json(invoke, tmp_path):
     assert "Fig. 3: naive against circular mean" in table.stdout
 
 
+@pytest.mark.parametrize("draw", [None, lambda path: path.write_bytes(b"")])
+def test_pictures_are_spoken_of_where_there_are_any(invoke, monkeypatch, tmp_path, draw):
+    monkeypatch.setattr(reproduce, "sections", lambda *_, **__: [reproduce.Section("fig2", "title", [], draw)])
+    result = invoke("reproduce", "sato2023", "--part", "fig2", "-o", "pictures")
+    assert result.exit_code == 0, result.output
+    assert ("pictures in pictures" in result.stderr) == (tmp_path / "pictures" / "fig2.png").exists() == bool(draw)
+
+
 def test_parts_are_named(invoke):
     names = invoke("reproduce", "sato2023", "--list").stdout.split()
     assert names[:3] == ["fig1", "fig2", "fig3"]

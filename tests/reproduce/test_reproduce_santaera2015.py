@@ -33,6 +33,14 @@ def test_a_joints_two_halves_are_one_angle():
     np.testing.assert_allclose(hand.finger_angles(q), np.arange(6) / 10)
 
 
+def test_an_angles_deviation_is_that_of_both_halves_together():
+    robot, names = hand.robot(), hand.robot().joint_names
+    off = np.random.default_rng(0).normal(size=(3, robot.nv))
+    at = [[robot.topology.joint_v[names.index(f"{n}{end}")] for end in ("", "_roll")] for n in grasp.LEADERS]
+    expected = np.abs(np.stack([off[:, pair].sum(axis=1) for pair in at], axis=1))
+    np.testing.assert_allclose(hand.finger_deviations(off[:, :, None] * off[:, None]), expected, atol=1e-7)
+
+
 def test_contact_points_follow_the_posture():
     """A point of the palm's base stays, one of a finger's end moves with its last joint."""
     robot = hand.robot()

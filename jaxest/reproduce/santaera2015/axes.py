@@ -1,6 +1,7 @@
 """Functional calibration: joint axes in both sensors' frames from 20 s of motion, IMUs mounted any way."""
 
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -15,6 +16,7 @@ from jaxest.manifolds import quaternion as quat
 from jaxest.reproduce import Choice, Say, Section, seed_of
 from jaxest.reproduce.santaera2015 import kept
 from jaxest.simulate import imu, trajectories
+from jaxest.viz import canvas
 
 RUNS = 100
 BATCH = 10
@@ -26,6 +28,7 @@ def calibration(choice: Choice, say: Say) -> Section:
     """Mount two IMUs any way on the links of a hinge and of a two-axis joint, on a base that turns; find the axes."""
     count = choice.runs or (2 if choice.small else RUNS)
     rows: list[Row] = []
+    shown = {}
     for two, name in ((False, "hinge"), (True, "two-axis joint")):
         errors = []
         for begin in range(0, count, BATCH):
@@ -34,7 +37,7 @@ def calibration(choice: Choice, say: Say) -> Section:
             made = kept.piece(choice.work, f"axes_{1 + two}_{seed}_{size}", partial(_errors, two, seed, size))
             errors.append(made["error"])
         *both, foreseen = np.concatenate(errors).T
-        worst = np.max(both, axis=0)
+        worst = shown[name] = np.max(both, axis=0)
         rows += [
             Row("error of an axis, mean", name, float(np.mean(both)), "deg", float(np.std(both)), count),
             Row("error of an axis, largest", name, float(worst.max()), "deg", n=count),
@@ -42,7 +45,25 @@ def calibration(choice: Choice, say: Say) -> Section:
             Row("squared error over its variance", name, float(foreseen.mean()), "1", float(foreseen.std()), count, 1.0,
                 "an honest covariance"),
         ]  # fmt: skip
-    return Section("calibration", "joint axes from 20 s of motion, random mountings", rows)
+
+    def paint(path: Path) -> None:
+        canvas.save(path, (7, 3.5), lambda figure: _paint(figure, shown), "Joint axes found from 20 s of motion")
+
+    return Section("calibration", "joint axes from 20 s of motion, random mountings", rows, paint)
+
+
+def _paint(figure: Any, shown: dict[str, Any]) -> None:
+    """Share of the mountings whose worse axis is off by no more than an angle."""
+    axis = figure.subplots()
+    for (name, worst), color in zip(shown.items(), (canvas.BLUE, canvas.ORANGE), strict=True):
+        share = 100 * np.arange(1, len(worst) + 1) / len(worst)
+        axis.step(np.sort(worst), share, where="post", color=color, label=f"{name}, {len(worst)} mountings")
+    axis.axvline(1.0, color=canvas.RED, linewidth=0.9, label="1 deg asked")
+    axis.set_xscale("log")
+    axis.xaxis.set_major_formatter("{x:g}")
+    axis.set_ylim(0, 105)
+    canvas.plain(axis, xlabel="error of the worse of both axes [deg]", ylabel="mountings within it [%]")
+    axis.legend(fontsize=8, frameon=False)
 
 
 def joint(two: bool) -> str:

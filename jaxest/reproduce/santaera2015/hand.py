@@ -108,6 +108,14 @@ def joints(rotations: Any, mountings: Any) -> Any:
     return jax.vmap(one)(rotations, jnp.asarray(mountings, jnp.float32))
 
 
+def finger_deviations(covariance: NDArray[Any]) -> NDArray[np.float64]:
+    """Return the standard deviations (..., 6), rad, of `finger_angles`, from covariances (..., nv, nv)."""
+    names, at = robot().joint_names, robot().topology.joint_v
+    both = [[at[names.index(n)], at[names.index(f"{n}_roll")]] for n in grasp.LEADERS]
+    parts = [np.asarray(covariance, np.float64)[..., pair, :][..., pair].sum(axis=(-2, -1)) for pair in both]
+    return np.asarray(np.sqrt(np.maximum(np.stack(parts, axis=-1), 0)))
+
+
 def finger_angles(q: NDArray[Any]) -> NDArray[np.float64]:
     """Return q1, q2, q3 of both fingers (..., 6), rad: each joint's two halves together."""
     names = robot().joint_names
@@ -117,4 +125,4 @@ def finger_angles(q: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(q[..., at] + q[..., roll])
 
 
-__all__ = ["EDGES", "REDUNDANT", "Trial", "finger_angles", "joints", "pairs", "robot", "trial"]
+__all__ = ["EDGES", "REDUNDANT", "Trial", "finger_angles", "finger_deviations", "joints", "pairs", "robot", "trial"]
