@@ -9,7 +9,19 @@ The particles of one filter are no independent items: `particles.filter_step(mod
 """
 
 from jaxest.parallel import particles
-from jaxest.parallel.devices import Spread, everywhere, gather, mesh, several, shards
+from jaxest.parallel.devices import Spread, everywhere, gather, mesh, one_by_one, several, shards
 from jaxest.parallel.hosts import Place, from_first, start
 
-__all__ = ["Place", "Spread", "everywhere", "from_first", "gather", "mesh", "particles", "several", "shards", "start"]
+__all__ = [
+    "Place",
+    "Spread",
+    "everywhere",
+    "from_first",
+    "gather",
+    "mesh",
+    "one_by_one",
+    "particles",
+    "several",
+    "shards",
+    "start",
+]

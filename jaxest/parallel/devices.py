@@ -39,6 +39,7 @@ class Spread:
     fn: Callable[..., PyTree]
     line: Mesh
     common: int
+    apart: bool
     step: Any
     """The jitted program."""
 
@@ -47,7 +48,8 @@ class Spread:
         same, batch = args[: self.common], args[self.common :]
         items = _items(batch)
         if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(batch)):
-            return _share(self.fn, same, batch)  # traced, for shapes or within another program: not laid on devices
+            # Traced, for shapes or within another program: not laid on devices.
+            return _share(self.fn, self.apart, same, batch)
         whole, part = (NamedSharding(self.line, spec) for spec in (PartitionSpec(), PartitionSpec(AXIS)))
         rows = np.minimum(np.arange(-(-items // self.line.size) * self.line.size), items - 1)
         batch = jax.tree.map(lambda leaf: _place(leaf, rows, part), batch)
@@ -69,13 +71,16 @@ class Spread:
         self.step.lower(shapes, many).compile()
 
 
-def shards(fn: Callable[..., PyTree], over: Mesh | None = None, *, common: int = 0) -> Spread:
+def shards(
+    fn: Callable[..., PyTree], over: Mesh | None = None, *, common: int = 0, apart: bool = False
+) -> Spread:  # fmt: skip
     """Spread a function over a batch, a share of it on each device.
 
     Args:
         fn: takes one item (pytrees of arrays) and returns a pytree; pure.
         over: the devices, as `mesh` lines them up; all of them if None.
         common: how many of the first arguments are the same for all items and have no batch axis.
+        apart: whether a device takes its items one after the other instead of side by side.
 
     Returns:
         A jitted function of the same arguments, each leaf with a leading axis of n items; its results have that axis
@@ -88,14 +93,30 @@ def shards(fn: Callable[..., PyTree], over: Mesh | None = None, *, common: int =
     """
     line = mesh() if over is None else over
     whole, part = PartitionSpec(), PartitionSpec(AXIS)
-    share = partial(_share, fn)
+    share = partial(_share, fn, apart)
     # Shares are independent, and an estimator's scan starts from constants: nothing for the check to find.
     step = jax.jit(jax.shard_map(share, mesh=line, in_specs=(whole, part), out_specs=part, check_vma=False))
-    return Spread(fn, line, common, step)
+    return Spread(fn, line, common, apart, step)
 
 
-def _share(fn: Callable[..., PyTree], same: tuple[PyTree, ...], items: tuple[PyTree, ...]) -> PyTree:
-    return jax.vmap(lambda *item: fn(*same, *item))(*items)
+def _share(fn: Callable[..., PyTree], apart: bool, same: tuple[PyTree, ...], items: tuple[PyTree, ...]) -> PyTree:
+    every = one_by_one if apart else jax.vmap
+    return every(lambda *item: fn(*same, *item))(*items)
+
+
+def one_by_one(fn: Callable[..., PyTree]) -> Callable[..., PyTree]:
+    """Return a function of batches that runs `fn`, of one item, on one after the other.
+
+    What an item skips by `lax.cond` is skipped; under `vmap` a batch does it for all. It pays where that is most of the
+    work, as in a filter that corrects at every tenth sample.
+
+    Args:
+        fn: takes one item (pytrees of arrays) and returns a pytree; pure.
+
+    Returns:
+        A function of the same arguments, each leaf with a leading axis; its results have that axis too.
+    """
+    return lambda *items: jax.lax.map(lambda item: fn(*item), items)
 
 
 def _items(batch: PyTree) -> int:
@@ -147,4 +168,4 @@ def gather(tree: PyTree) -> PyTree:
     return jax.tree.map(np.asarray, process_allgather(tree, tiled=True))
 
 
-__all__ = ["Spread", "everywhere", "gather", "mesh", "several", "shards"]
+__all__ = ["Spread", "everywhere", "gather", "mesh", "one_by_one", "several", "shards"]

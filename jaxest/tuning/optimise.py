@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from jaxest.parallel import everywhere, gather, shards
 from jaxest.tuning import descent
 from jaxest.tuning.descent import Method, lbfgs
-from jaxest.tuning.objectives import Objective, per_recording, total
+from jaxest.tuning.objectives import Objective, batched, per_recording, total
 from jaxest.tuning.parameters import Space
 from jaxest.tuning.recordings import Recording, Windows, sample_windows
 from jaxest.types import Array, PyTree
@@ -179,13 +179,13 @@ def advance(
 
 @partial(jax.jit, static_argnums=(0, 1))
 def _evaluated(problem: Problem, method: Method, data: Any, states: descent.State) -> Any:
-    return jax.vmap(partial(_start, problem, method, data))(states)
+    return batched(problem.objective)(partial(_start, problem, method, data))(states)
 
 
 @cache
 def _spread(problem: Problem, method: Method, over: Mesh) -> Any:
     """Compile the evaluation of a device's starts once for the whole search."""
-    return shards(partial(_start, problem, method), over, common=1)
+    return shards(partial(_start, problem, method), over, common=1, apart=problem.objective.apart)
 
 
 def _start(problem: Problem, method: Method, data: Any, state: descent.State) -> Any:

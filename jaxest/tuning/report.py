@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.tuning.objectives import per_recording
+from jaxest.tuning.objectives import batched, per_recording
 from jaxest.tuning.optimise import Problem, goes_forward, loss_at
 from jaxest.tuning.recordings import Recording
 from jaxest.types import Array
@@ -104,7 +104,8 @@ def _gradients(problem: Problem, points: Array, batch: Recording, key: Array) ->
         push = jax.vmap(lambda v: jax.jvp(lambda z: loss(z, recording, key), (z,), (v,)), out_axes=(None, 0))
         return push(jnp.eye(z.shape[0], dtype=z.dtype))
 
-    return jax.vmap(lambda z: per_recording(problem.objective, partial(one, z), batch, key))(points)
+    every = batched(problem.objective)
+    return every(lambda z: per_recording(problem.objective, partial(one, z), batch, key))(points)
 
 
 def _sandwich(hessian: NDArray[Any], middle: NDArray[Any]) -> NDArray[Any]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.tuning.descent import PROBE, Method, lbfgs, unseen
-from jaxest.tuning.objectives import total
+from jaxest.tuning.objectives import batched, total
 from jaxest.tuning.optimise import Problem, Result, minimise
 from jaxest.tuning.recordings import Recording, Windows, sample_windows
 from jaxest.types import Array
@@ -87,7 +87,7 @@ def _lowest(problem: Problem, optima: list[list[int]], points: Array, batch: Rec
 @partial(jax.jit, static_argnums=0)
 def _values(problem: Problem, points: Array, part: Recording, key: Array | None) -> Array:
     """The objective at points (K, n)."""
-    return jax.vmap(lambda z: total(problem.objective, problem.space.unpack(z), part, key))(points)
+    return batched(problem.objective)(lambda z: total(problem.objective, problem.space.unpack(z), part, key))(points)
 
 
 __all__ = ["warm_start"]

@@ -1,5 +1,7 @@
 """Objectives: gradients against differences (of the expectation, where they are drawn), and errors on the group."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -202,6 +204,33 @@ def test_supervised_gradient_of_an_orientation_filter(x64):
         _, gradient = evaluate(z)
         numeric = [(evaluate(z + 1e-5 * e)[0] - evaluate(z - 1e-5 * e)[0]) / 2e-5 for e in np.eye(2)]
         np.testing.assert_allclose(gradient, numeric, rtol=1e-4, atol=1e-9)
+
+
+def skipping(params, measurements):
+    """Log-density of a level that is corrected at few steps."""
+
+    def step(level, z):
+        level = jax.lax.cond(jnp.abs(z) > 1.5, lambda: level + params.walk * (z - level), lambda: level)
+        return level, -(((z - level) / params.seen) ** 2) / 2 - jnp.log(params.seen)
+
+    return jnp.sum(jax.lax.scan(step, jnp.zeros(()), measurements.value.value[:, 0])[1])
+
+
+def test_recordings_run_apart_skip_what_a_batch_does_for_all(x64):
+    """The same losses, gradients and searches; a branch stays one, where a batch takes both sides of it."""
+    beside = tuning.density(skipping)
+    space = tuning.space(Params(), ["walk", "seen"])
+    found, branches = [], []
+    for objective in (beside, beside._replace(apart=True)):
+        problem = tuning.Problem(objective, space)
+        evaluate = partial(tuning.value_and_gradient, problem)
+        z = space.pack(Params(), jnp.float64)
+        branches.append(" cond[" in str(jax.make_jaxpr(evaluate)(z, BATCH)))
+        search = tuning.minimise(problem, BATCH, starts=jnp.stack([z, z + 0.3]), evaluations=2)
+        found.append((*evaluate(z, BATCH), search.trace.value, tuning.curvature(problem, z, BATCH).hessian))
+    assert branches == [False, True]
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9)
 
 
 def test_perfect_estimates_have_no_slope():

@@ -18,6 +18,8 @@ FREE = {
     "madgwick": (),
 }
 """What is free unless said otherwise; where nothing stands, every positive number of the filter."""
+SPARSE = ("ekf",)
+"""Filters that correct at few of their samples: logs and starts are run one after the other."""
 MAGNETIC = {"ekf": ("field", "field_time"), "complementary": ("lambda_mag",)}
 """And with a magnetometer."""
 
@@ -59,7 +61,8 @@ def prepare(sources: Sequence[Source], request: Request, goal: str, free: Mappin
         return {**request.settings, "filter": choice.filter.name, choice.filter.name: table}
 
     label = f"{'orientation' if whole else 'inclination'} RMSE, mean of the logs"
-    return Tunable(tuning.supervised(system, error), space, recordings, label, "deg", 180 / np.pi,
+    objective = tuning.supervised(system, error, apart=choice.filter.name in SPARSE)
+    return Tunable(objective, space, recordings, label, "deg", 180 / np.pi,
                    tuning.lbfgs(), None, settings, np.float32)  # fmt: skip
 
 
