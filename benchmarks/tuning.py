@@ -54,8 +54,8 @@ TRUE = {"walk": 150.0, "encoders": 40.0, "lam": -300.0, "variance": 0.001}
 FILTERS = {"bootstrap": (2048, deflection.bootstrap), "guided": (256, deflection.guided)}
 PRIOR = 20.0
 """Of all logs and filters of `recovery`, if not said otherwise: they start near home. Of an unknown start (0.1) the
-first readings leave several postures where the encoders are not among them: in the log-likelihood of those steps 128
-particles miss by tens what 8192 find, which says more of that than of the noise. So they do not count then."""
+first readings leave several postures where the encoders are not among them, and 128 particles are few for all of them:
+the first steps do not count then. What counts is a likelihood still, of the later readings given the first."""
 PARTICLES, SETTLED = 128, 5
 FADING = 0.97
 
@@ -132,7 +132,7 @@ def grid(folder: Path, seed: int) -> list[Row]:
 def held_out(folder: Path, evaluations: int) -> list[Row]:
     """Tune the attitude filter on each half of the trials."""
     system = orientation.build(filter=attitude.ekf, sensors=("gyroscope", "accelerometer"))
-    objective = tuning.supervised(system, tuning.errors.inclination)
+    objective = tuning.supervised(system, tuning.errors.inclination, apart=True)
     start = jax.tree.map(np.float32, system.default_params)
     space = tuning.space(start, dict.fromkeys(("misalignment", "speed", "excursion", "move_time")))
     problem = tuning.Problem(objective, space)

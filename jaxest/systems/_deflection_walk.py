@@ -12,6 +12,7 @@ import numpy as np
 from jaxest.distributions import von_mises as density
 from jaxest.distributions._bessel import log_i0e
 from jaxest.filters import particle
+from jaxest.kinematics import robot as kinds
 from jaxest.kinematics.robot import HINGE
 from jaxest.kinematics.space import Space, numbers, origin, put
 from jaxest.manifolds import circle
@@ -79,6 +80,9 @@ def gaussian(where: Space) -> particle.Transition:
 
 Read = Callable[[PyTree, PyTree], tuple[Array, Array]]
 """`(params, measurement) -> (d,), (d,)`: what encoders say, and how precise they are, 0 where none reads."""
+TETHER = 5.0
+"""Concentration by which the first search for a joint that no encoder reads is held to where its particle stands: weak
+beside what sensors say, and no more than .45 rad wide where they say nothing, as others search there."""
 SURE = 1.0
 """Concentration of an encoder from which it says where a joint is at the first step."""
 
@@ -102,9 +106,10 @@ def guessing(where: Space, transition: particle.Transition, read: Read) -> parti
 def opening(where: Space, transition: particle.Transition, read: Read) -> particle.Opening:
     """Return the law of the joints at the first step: the prior and one step of a `von_mises` walk together.
 
-    Joints that no encoder reads keep to their particle's way, and so do balls.
+    Searches for joints that no encoder reads start at the particles, which stand for the prior, and stay near. With
+    balls, whose law is not known in closed form, such joints keep to their particle's way, and so do the balls.
     """
-    hinges = where.kinds.count(HINGE)
+    hinges, balls = where.kinds.count(HINGE), kinds.BALL in where.kinds
 
     def law(params: PyTree, dtype: Any) -> list[Array]:
         return [
@@ -125,14 +130,19 @@ def opening(where: Space, transition: particle.Transition, read: Read) -> partic
     def precision(params: PyTree, measurement: PyTree) -> Array:
         sure = known(params, measurement)[1]
         _, prior, walk = law(params, jnp.result_type(measurement.dt))
-        return jnp.where(sure, prior * walk / (prior + walk), transition.precision(params, measurement))
+        drawn = prior * walk / (prior + walk)
+        near = transition.precision(params, measurement) if balls else jnp.maximum(drawn, TETHER)
+        return jnp.where(sure, drawn, near)
 
     def log_prob(params: PyTree, x: PyTree, moved: PyTree, v: Array, measurement: PyTree) -> Array:
         start, prior, walk = law(params, v.dtype)
         drawn = _by_kind(hinges, _convolved, _added, numbers(moved) - start, prior, walk)
-        return jnp.sum(jnp.where(known(params, measurement)[1], drawn, _each(hinges, v, walk)))
+        return jnp.sum(jnp.where(known(params, measurement)[1], drawn, _each(hinges, v, walk)) if balls else drawn)
 
-    return particle.Opening(centre, mean, precision, log_prob)
+    def scattered(params: PyTree, measurement: PyTree) -> Array:
+        return ~jnp.all(known(params, measurement)[1])
+
+    return particle.Opening(centre, mean, precision, log_prob, None if balls else scattered)
 
 
 def _by_kind(hinges: int, turning: Callable, moving: Callable, *arrays: Array) -> Array:

@@ -4,6 +4,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pytest
 from deflection_models import FEW, SENSORS, arm, build
@@ -151,6 +152,61 @@ def test_the_first_step_knows_the_law_of_the_angles(prior, walk, dtype):
     share = float(info.ess) / 2000
     assert share > 0.9
     assert abs(float(info.log_likelihood) - exact) < 4.5 * np.sqrt((1 / share - 1) / 2000) + 5e-3
+
+
+PLANAR = """<mujoco><worldbody><body name="one"><joint name="one" axis="0 0 1"/><geom size=".01"/>
+<body name="two" pos=".5 0 0"><joint name="two" axis="0 0 1"/><geom size=".01"/><site name="tip" pos=".4 0 0"/></body>
+</body></worldbody></mujoco>"""
+
+
+def evidence_of_a_tip(tip, start, prior, walk, variance, points=720):
+    """Density of where the tip of `PLANAR` is read at the first step, by quadrature over both angles."""
+    grid = np.arange(points) * 2 * np.pi / points
+    waves = [np.fft.fft(np.exp(k * (np.cos(grid) - 1)) / (2 * np.pi * i0e(k))) for k in (prior, walk)]
+    law = np.real(np.fft.ifft(waves[0] * waves[1])) * (grid[1] - grid[0])
+    one, two = np.meshgrid(grid + start, grid + start, indexing="ij")
+    seen = np.stack([
+        0.5 * np.cos(one) + 0.4 * np.cos(one + two), 0.5 * np.sin(one) + 0.4 * np.sin(one + two), 0 * one
+    ], axis=-1)  # fmt: skip
+    away = np.sum((tip - seen) ** 2, axis=-1) / variance
+    density = np.exp(-away / 2) / (2 * np.pi * variance) ** 1.5
+    return np.log(np.sum(density * law[:, None] * law[None]) * (grid[1] - grid[0]) ** 2)
+
+
+@pytest.mark.parametrize(("particles", "curved"), [(128, False), pytest.param(100, True, marks=pytest.mark.slow)])
+def test_an_unknown_start_without_encoders_is_found_in_all_its_postures(particles, curved):
+    """Two postures have the tip there: evidence and score over 60 runs within 4.5 standard errors of quadrature."""
+    sensors = (Sensor("link_position", "tip", ("site:tip",)),)
+    propose = partial(deflection.guided, curved=curved)
+    system = deflection.build(
+        kinematics.load(mujoco.MjModel.from_xml_string(PLANAR)), sensors, particles=particles, proposal=propose
+    )
+    values = {"start": 0.4, "prior": 0.3, "walk": 400.0, "variance": 4e-4}
+    tip = np.array([0.45, 0.35, 0.01])
+    measurement = measurement_type(sensors)(Reading(jnp.asarray(tip, jnp.float32), jnp.asarray(True)), jnp.float32(0.1))
+
+    def loss(values, key):
+        params = system.default_params._replace(start=values["start"], prior=values["prior"], walk=values["walk"])
+        own = params.sensors.tip._replace(variance=jnp.full(3, values["variance"]))
+        params = jax.tree.map(jnp.float32, params._replace(sensors=params.sensors._replace(tip=own)))
+        _, info = system.step(params, system.init(params, key=key), measurement, key=key)
+        return info.log_likelihood, info.ess
+
+    given = {name: jnp.float32(value) for name, value in values.items()}
+    both = jax.jit(jax.vmap(jax.value_and_grad(loss, has_aux=True), (None, 0)), compiler_options=QUICK)
+    (found, ess), score = both(given, jax.random.split(jax.random.key(5), 60))
+    found = np.asarray(found, float)
+    assert np.asarray(ess).mean() > 0.9 * particles
+    ratio = np.exp(found - evidence_of_a_tip(tip, **values))
+    assert ratio.std() < 0.05
+    assert abs(ratio.mean() - 1) < 4.5 * ratio.std() / np.sqrt(59)
+    for name, value in values.items():
+        h = 1e-3 * value
+        ends = [evidence_of_a_tip(tip, **{**values, name: value + way}) for way in (h, -h)]
+        # Of the evidence, whose estimate has no bias: that of its logarithm has one of order 1 / particles.
+        slopes = np.asarray(score[name], float) * ratio
+        exact = (ends[0] - ends[1]) / (2 * h)
+        assert abs(slopes.mean() - exact) < 4.5 * slopes.std() / np.sqrt(59)
 
 
 def snake(joints):

@@ -169,13 +169,16 @@ def _moved(
         before = jax.tree.map(partial(picked, chosen.ancestors), held)
         return chosen, before, *model.propose(params, before, measurement, motion), None
     ahead, plan = model.propose.look(params, held, measurement, state.index == 0)
+    aims = model.propose.aims(plan)
     ahead = model.propose.heeded(ahead.astype(state.log_weights.dtype), state.log_weights)
     chosen = model.resample(choice, state.log_weights + ahead)
     chances, total, _ = normalize(state.log_weights + ahead)
     before = jax.tree.map(partial(picked, chosen.ancestors), held)
-    moved, increments = model.propose.send(params, before, take(plan, chosen.ancestors), measurement, motion)
-    foresight = _Foresight(total, jnp.exp(chances), model.propose.aims(plan))
-    return chosen, before, moved, increments - picked(chosen.ancestors, ahead), foresight
+    plan = take(plan, chosen.ancestors)
+    moved, increments = model.propose.send(params, before, plan, measurement, motion, chosen.log_weights)
+    foresight = _Foresight(total, jnp.exp(chances), aims)
+    favour = jnp.where(plan.scattered, 0, picked(chosen.ancestors, ahead))
+    return chosen, before, moved, increments - favour, foresight
 
 
 def _balanced(manifold: Manifold, mean: PyTree, foresight: _Foresight, chosen: Resampled) -> PyTree:

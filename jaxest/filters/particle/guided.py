@@ -75,7 +75,21 @@ class Guided(NamedTuple):
             mode = gauss_newton.within(_cholesky.solve(factor, factor[:, -1]), reach)
         numbers = jnp.arange(factor.shape[0])
         ahead = -energy / 2 - jnp.sum(jnp.log(factor[numbers, numbers]), axis=0)  # the integral of each Gaussian
-        return ahead, Plan(centre, mode, factor, basis, wide, prior, begins)
+        plan = Plan(centre, mode, factor, basis, wide, prior, begins, jnp.zeros((), bool))
+        opening = self.transition.opening
+        if opening is None or opening.scattered is None:
+            return ahead, plan
+        plan = plan._replace(scattered=begins & opening.scattered(fixed, seen))
+        worth = partial(self._worth, opening, fixed, particles, plan, seen)
+        return jax.lax.cond(plan.scattered, worth, lambda: ahead), plan
+
+    def _worth(self, opening: Opening, params: PyTree, particles: PyTree, plan: Plan, measurement: PyTree) -> Array:
+        """How likely the measurement is about each mode, by exact densities: a search from afar need not have ended."""
+        aims, numbers = self.aims(plan), jnp.arange(plan.factor.shape[0])
+        found = each(self.log_likelihood)(params, aims, measurement)
+        noise = jnp.zeros_like(plan.mode.T)
+        found = found + jax.vmap(opening.log_prob, (None, 0, 0, 0, None))(params, particles, aims, noise, measurement)
+        return found - jnp.sum(jnp.log(plan.factor[numbers, numbers]), axis=0)
 
     def heeded(self, ahead: Array, log_weights: Array) -> Array:
         """Return by how much to favour each particle, in the choice of who goes on.
@@ -103,7 +117,13 @@ class Guided(NamedTuple):
         return jax.vmap(self.manifold.retract, (0, 1))(plan.centre, noise)
 
     def send(
-        self, params: PyTree, particles: PyTree, plan: Plan, measurement: PyTree, key: Array
+        self,
+        params: PyTree,
+        particles: PyTree,
+        plan: Plan,
+        measurement: PyTree,
+        key: Array,
+        log_weights: Array | None = None,
     ) -> tuple[PyTree, Array]:
         """Draw from the Gaussians of those who go on.
 
@@ -113,18 +133,23 @@ class Guided(NamedTuple):
             plan: theirs.
             measurement: of this step.
             key: random key.
+            log_weights: (N,) of those who go on; equal if None.
 
         Returns:
             The new particles, leaves (N, ...), and the logarithms (N,) of likelihood times transition density over the
-            density of the draw.
+            density of the draw; where the plan is scattered, over that of all draws together, whoever was favoured in
+            the choice.
         """
         fixed, seen, particles = jax.lax.stop_gradient((params, measurement, particles))
         white = draws.normals(key, plan.mode)
         if plan.basis is None or plan.wide is None:
             noise, drawn = draws.straight(plan, white)
         else:
-            noise, drawn = draws.bent(
-                self.manifold, self.rows, (fixed, plan.centre, seen), plan, plan.basis, plan.wide, white
+            noise, drawn = jax.lax.cond(
+                plan.scattered,
+                partial(draws.turned, plan, plan.basis),
+                partial(draws.bent, self.manifold, self.rows, (fixed, plan.centre, seen), plan, plan.basis, plan.wide),
+                white,
             )
         if self.defensive:
             noise = draws.mixed(self.transition, self.defensive, fixed, seen, noise, key)
@@ -135,6 +160,11 @@ class Guided(NamedTuple):
             white = _cholesky.whiten(plan.factor, noise.T - plan.mode)
             own = jnp.log1p(-self.defensive) + draws.log_normal(plan.factor, white)
             drawn = jnp.logaddexp(own, jnp.log(self.defensive) + density)
+        opening = self.transition.opening
+        if opening is not None and opening.scattered is not None:
+            equal = jnp.zeros_like(drawn) if log_weights is None else log_weights
+            every = partial(draws.together, self.manifold, plan, moved, jax.lax.stop_gradient(equal))
+            drawn = jax.lax.cond(plan.scattered, every, lambda: drawn)
         weight = each(self.log_likelihood)(params, moved, measurement)
         return moved, weight + density - jax.lax.stop_gradient(drawn)
 

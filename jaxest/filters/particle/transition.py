@@ -15,7 +15,8 @@ class Opening(NamedTuple):
     """The law of the first state by itself, for a first step that need not start from the particles drawn before it.
 
     Particles spread over all states seldom lie within reach of what the first measurement says. All functions, static.
-    A coordinate may keep to the particle's own way; its mean, precision and density are the transition's then.
+    A coordinate may keep to the particle's own way; its mean, precision and density are the transition's then. Or
+    searches start all over the states and are told so by `scattered`.
     """
 
     centre: Callable[[PyTree, PyTree, PyTree], PyTree]
@@ -27,6 +28,10 @@ class Opening(NamedTuple):
     log_prob: Callable[[PyTree, PyTree, PyTree, Array, PyTree], Array]
     """`(params, x, moved, v, measurement) -> ()` log-density of the first state `moved`, exact; v (d,) leads there from
     the centre, for coordinates that keep to the particle's way."""
+    scattered: Callable[[PyTree, PyTree], Array] | None = None
+    """`(params, measurement) -> () bool`, whether particles' searches may end in several states that the measurement
+    takes for one another. Draws are then weighed against many Gaussians together, as one alone misses the other
+    states; `log_prob` must not look at x or v then. Never if None."""
 
 
 class Transition(NamedTuple):
