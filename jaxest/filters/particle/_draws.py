@@ -1,5 +1,6 @@
 """Plans of where guided particles go, and draws from the Gaussians that they hold."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
@@ -119,6 +120,12 @@ def together(manifold: Manifold, plan: Plan, moved: PyTree, log_weights: Array) 
     mode, factor = (cut(jnp.moveaxis(x, -1, 0)) for x in (plan.mode, plan.factor))
     given = (centre, jnp.moveaxis(mode, 0, -1), jnp.moveaxis(factor, 0, -1), moved, cut(log_weights))
     return jax.vmap(of_group, (1, 0, 0, 1, 1), 1)(*given).reshape(count)
+
+
+def seldom(so: Array, function: Callable[[], Array], otherwise: Array) -> Array:
+    """A branch that a batch skips too where none of its items takes it, as loops do and branches do not."""
+    found: Array = jax.lax.fori_loop(0, so.astype(jnp.int32), lambda _, now: function().astype(now.dtype), otherwise)
+    return found
 
 
 def mixed(transition: Transition, share: float, params: PyTree, measurement: PyTree, noise: Array, key: Array) -> Array:

@@ -81,7 +81,7 @@ class Guided(NamedTuple):
             return ahead, plan
         plan = plan._replace(scattered=begins & opening.scattered(fixed, seen))
         worth = partial(self._worth, opening, fixed, particles, plan, seen)
-        return jax.lax.cond(plan.scattered, worth, lambda: ahead), plan
+        return draws.seldom(plan.scattered, worth, ahead), plan
 
     def _worth(self, opening: Opening, params: PyTree, particles: PyTree, plan: Plan, measurement: PyTree) -> Array:
         """How likely the measurement is about each mode, by exact densities: a search from afar need not have ended."""
@@ -117,14 +117,9 @@ class Guided(NamedTuple):
         return jax.vmap(self.manifold.retract, (0, 1))(plan.centre, noise)
 
     def send(
-        self,
-        params: PyTree,
-        particles: PyTree,
-        plan: Plan,
-        measurement: PyTree,
-        key: Array,
+        self, params: PyTree, particles: PyTree, plan: Plan, measurement: PyTree, key: Array,
         log_weights: Array | None = None,
-    ) -> tuple[PyTree, Array]:
+    ) -> tuple[PyTree, Array]:  # fmt: skip
         """Draw from the Gaussians of those who go on.
 
         Args:
@@ -164,7 +159,7 @@ class Guided(NamedTuple):
         if opening is not None and opening.scattered is not None:
             equal = jnp.zeros_like(drawn) if log_weights is None else log_weights
             every = partial(draws.together, self.manifold, plan, moved, jax.lax.stop_gradient(equal))
-            drawn = jax.lax.cond(plan.scattered, every, lambda: drawn)
+            drawn = draws.seldom(plan.scattered, every, drawn)
         weight = each(self.log_likelihood)(params, moved, measurement)
         return moved, weight + density - jax.lax.stop_gradient(drawn)
 
