@@ -3,7 +3,7 @@
 import importlib.util
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -75,10 +75,9 @@ def run(
     """
     del verbose, devices
     from jaxest.cli import methods, settings
-    from jaxest.cli.tables import figures
     from jaxest.cli.window import windowed
-    from jaxest.files import existing, write_bytes, write_text
-    from jaxest.io import read, write
+    from jaxest.files import existing
+    from jaxest.io import read
     from jaxest.io.inspect import doubtful_units
     from jaxest.io.report import Row, report, to_json
 
@@ -101,31 +100,47 @@ def run(
     took = time.perf_counter() - begun
     rows = [*outcome.rows, Row("run time", "compilation included", took, "s")]
     text = to_json(report(method, rows))
+    written = _written(outcome, targets, text, f"{log.stem}: {method}", force)
+    for line in outcome.refused:
+        warn(f"do not use this estimate: {line}")
+    status = REJECTED if outcome.refused else DONE
+    if json:
+        return Answer(text, status)
+    _shown(outcome, rows, f"{log.stem}: {method}", written)
+    if len(targets) < 3:
+        note("no picture: pip install 'jaxest[viz]'")
+    return Answer(status=status)
+
+
+def _written(outcome: Any, targets: list[Path], text: str, title: str, force: bool) -> list[Path]:
+    """Write all files of an estimate; return which."""
+    from jaxest.files import write_bytes, write_text
+    from jaxest.io import write
+
+    out = targets[0].parent
     out.mkdir(parents=True, exist_ok=True)
     write(outcome.estimate, targets[0], overwrite=force)
-    written = [targets[0]]
     contents: dict[str, str | bytes] = {targets[1].name: f"{text}\n", **outcome.files}
     for name, content in contents.items():
         if isinstance(content, bytes):
             write_bytes(out / name, content, overwrite=force)
         else:
             write_text(out / name, content, overwrite=force)
-        written.append(out / name)
-    if len(targets) > 2 and outcome.draw:
-        outcome.draw(targets[2], f"{log.stem}: {method}")
-        written.append(targets[2])
-    for line in outcome.refused:
-        warn(f"do not use this estimate: {line}")
-    status = REJECTED if outcome.refused else DONE
-    if json:
-        return Answer(text, status)
+    drawn = targets[2:] if outcome.draw else []
+    if drawn:
+        outcome.draw(drawn[0], title)
+    return [targets[0], *(out / name for name in contents), *drawn]
+
+
+def _shown(outcome: Any, rows: list[Any], title: str, written: list[Path]) -> None:
+    """Print the figures, what there is to say, and which files there are."""
+    from jaxest.cli import methods
+    from jaxest.cli.tables import figures
+
     page = console()
-    page.print(figures(rows[len(methods.SIZE) :], f"{log.stem}: {method}, {methods.size(rows)}"))
+    page.print(figures(rows[len(methods.SIZE) :], f"{title}, {methods.size(rows)}"))
     note("; ".join(outcome.notes))
     page.print(f"wrote {', '.join(map(str, written))}", soft_wrap=True)
-    if len(targets) < 3:
-        note("no picture: pip install 'jaxest[viz]'")
-    return Answer(status=status)
 
 
 def _targets(out: Path, method: str, files: tuple[str, ...], force: bool) -> list[Path]:

@@ -84,11 +84,7 @@ def run(
     from jaxest.io import write_config
     from jaxest.io.report import report
 
-    picture = out.with_suffix(".png")
-    draws = importlib.util.find_spec("matplotlib") is not None
-    for file in (out, picture) if draws else (out,):
-        if file.exists() and not force:
-            raise bad_input(f"{file} exists already and is kept; pass --force to replace it")
+    targets = _targets(out, force)
     if method not in tunable.TUNABLE:
         raise tunable.unknown_name("method", method, tunable.TUNABLE)
     chosen, given = _prepare(logs, truth, method, robot, config, objective, free)
@@ -103,7 +99,7 @@ def run(
         tables = {**({"columns": chosen.columns} if chosen.columns else {}), "nan": chosen.nan, **chosen.tables}
         write_config(out, {**tables, method: given.settings(found.params)}, overwrite=force)
         kept = tuned.distinct(given.space, rows)
-        if draws:
+        for picture in targets[1:]:
             tuned.draw(picture, given, found, held_out > 0, f"{method}: {given.label}", list(kept)[:SHOWN])
     rows = list(kept.values())
     shown = tuned.rows(given, found, held_out, time.perf_counter() - begun)
@@ -117,8 +113,17 @@ def run(
     page = console()
     page.print(figures(shown, f"{method}: {given.label}, {len(given.recordings)} log(s), stopped: {found.stopped}"))
     page.print(tuned.table(given, rows))
-    page.print(f"wrote {out}" + (f", {picture}" if draws else ""), soft_wrap=True)
+    page.print(f"wrote {', '.join(map(str, targets))}", soft_wrap=True)
     return Answer(status=DONE)
+
+
+def _targets(out: Path, force: bool) -> list[Path]:
+    """The config and, where it can be drawn, the picture beside it; checked before anything runs."""
+    found = [out, out.with_suffix(".png")] if importlib.util.find_spec("matplotlib") else [out]
+    for file in found:
+        if file.exists() and not force:
+            raise bad_input(f"{file} exists already and is kept; pass --force to replace it")
+    return found
 
 
 def _prepare(

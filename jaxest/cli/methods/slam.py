@@ -67,25 +67,14 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
     from jaxest import kinematics
     from jaxest.filters import run
-    from jaxest.mapping import Hashed
     from jaxest.sensors.proximity import rays
-    from jaxest.systems import slam, slam_inertial
 
     if request.robot is None:
         raise InputError("the method 'slam' needs a robot: --robot FILE (MJCF or URDF)")
     settings, log = request.settings, to_si(log)
     robot, placed = kinematics.load(request.robot), sensors(settings)
-    told, imu = _told(settings), settings.get("imu")
-    options: dict[str, Any] = {
-        "layout": Hashed(settings.get("voxel", 0.2)), "capacity": settings.get("capacity", 16384),
-        "points": settings.get("points", 128), "align": settings.get("align", False),
-    }  # fmt: skip
-    if imu is None:
-        system = slam.build(robot, placed, **options)
-        params = system.default_params._replace(**told)
-    else:
-        system = slam_inertial.build(robot, placed, imu, **options)
-        params = system.default_params._replace(inner=system.default_params.inner._replace(**told))
+    imu = settings.get("imu")
+    system, params = _system(robot, placed, settings)
     time, given, free = _measurements(log, settings, robot, rays(placed), request.nan)
     if imu is not None:
         given = driven(log, settings, given)
@@ -94,25 +83,10 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     if imu is not None:
         state, info = state.inner, info.inner
     info = jax.tree.map(np.asarray, info)
-    names = tuple(name for name, kind in zip(robot.joint_names, robot.topology.joint_kind, strict=True)
-                  if kind != "free")  # fmt: skip
     led = {j for j, _ in robot.topology.couplings}
-    names = tuple(n for n in names if robot.joint_names.index(n) not in led)
-    streams = {
-        "joints": Stream(time, info.joints.astype(float), "rad", names=names),
-        "joints_bias": Stream(time, info.bias.astype(float), "rad", names=names),
-        "joints_deviation": Stream(time, info.bias_deviation.astype(float), "rad", names=names),
-    }
-    for k, body in enumerate(robot.topology.body_names):
-        streams[f"{body}/position"] = Stream(time, info.position[:, k].astype(float), "m")
-        streams[f"{body}/orientation"] = Stream(time, info.quaternion[:, k].astype(float), "1")
+    kinds = enumerate(zip(robot.joint_names, robot.topology.joint_kind, strict=True))
+    names = tuple(name for j, (name, kind) in kinds if kind != "free" and j not in led)
     chart = np.asarray(state.chart.point)[: int(state.chart.used)].astype(float)
-    rows = _rows(time, names, info, robot)
-    if state.mounts is not None:
-        turned = np.asarray(state.mounts.ring)[:, None] + np.asarray(state.mounts.turn)
-        angle = np.rad2deg(np.linalg.norm(turned, axis=2))
-        rows.append(Row("turn of a sensor", "mean", float(angle.mean()), "deg"))
-        rows.append(Row("turn of a sensor", "largest", float(angle.max()), "deg"))
 
     def draw(path: Path, title: str) -> None:
         from jaxest.viz import surroundings
@@ -122,7 +96,48 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     stands = ("free" + (", driven by an IMU" if imu else "")) if free else "fixed"
     notes = [f"{len(placed)} sensors, {rays(placed)} zones; the root is {stands}"]
     cloud = Cloud(chart, np.asarray(state.chart.total)[: len(chart), 3].astype(float))
-    return Outcome(SensorLog(streams, log.source), rows, notes, _refused(info), draw, {MAP: clouds.encoded(cloud, MAP)})
+    found = SensorLog(_streams(time, names, info, robot), log.source)
+    rows = [*_rows(time, names, info, robot), *_turns(state.mounts)]
+    return Outcome(found, rows, notes, _refused(info), draw, {MAP: clouds.encoded(cloud, MAP)})
+
+
+def _system(robot: Any, placed: Any, settings: Mapping[str, Any]) -> tuple[Any, Any]:
+    """Return the estimator, with an IMU at a free root where the config names one, and its parameters."""
+    from jaxest.mapping import Hashed
+    from jaxest.systems import slam, slam_inertial
+
+    told, imu = _told(settings), settings.get("imu")
+    options: dict[str, Any] = {
+        "layout": Hashed(settings.get("voxel", 0.2)), "capacity": settings.get("capacity", 16384),
+        "points": settings.get("points", 128), "align": settings.get("align", False),
+    }  # fmt: skip
+    if imu is None:
+        system = slam.build(robot, placed, **options)
+        return system, system.default_params._replace(**told)
+    system = slam_inertial.build(robot, placed, imu, **options)
+    return system, system.default_params._replace(inner=system.default_params.inner._replace(**told))
+
+
+def _streams(time: NDArray[Any], names: tuple[str, ...], info: Any, robot: Any) -> dict[str, Stream]:
+    """Return what was estimated as streams: joints, and where each body is."""
+    streams = {
+        "joints": Stream(time, info.joints.astype(float), "rad", names=names),
+        "joints_bias": Stream(time, info.bias.astype(float), "rad", names=names),
+        "joints_deviation": Stream(time, info.bias_deviation.astype(float), "rad", names=names),
+    }
+    for k, body in enumerate(robot.topology.body_names):
+        streams[f"{body}/position"] = Stream(time, info.position[:, k].astype(float), "m")
+        streams[f"{body}/orientation"] = Stream(time, info.quaternion[:, k].astype(float), "1")
+    return streams
+
+
+def _turns(mounts: Any) -> list[Row]:
+    """Return how far sensors are found turned from where they are believed to look, where that was asked for."""
+    if mounts is None:
+        return []
+    angle = np.rad2deg(np.linalg.norm(np.asarray(mounts.ring)[:, None] + np.asarray(mounts.turn), axis=2))
+    ends = ("mean", float(angle.mean())), ("largest", float(angle.max()))
+    return [Row("turn of a sensor", which, value, "deg") for which, value in ends]
 
 
 def _told(settings: Mapping[str, Any]) -> dict[str, float]:
