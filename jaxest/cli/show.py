@@ -11,6 +11,7 @@ NAME = "show"
 EXAMPLES = (
     "jaxest show out --robot arm.urdf -o arm.gif",
     "jaxest show out --robot arm.urdf --beside log.npz:encoders -o arm.gif",
+    "jaxest show out --robot arm.urdf --beside log.csv:joint_position -c log.toml -o arm.gif",
     "jaxest show out --robot arm.xml --map out/slam_map.ply -o arm.rrd",
 )
 LONGEST = 240  # pictures of a GIF
@@ -23,6 +24,9 @@ def run(
     out: Annotated[Path, typer.Option("--out", "-o", help="FILE.gif, FILE.png (the last posture) or FILE.rrd.")],
     beside: Annotated[
         str | None, typer.Option(help="LOG or LOG:STREAM with joint angles of a second robot, in red: encoders, truth.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option("--config", "-c", help="How the log of --beside is read: a TOML with [columns].")
     ] = None,
     cloud: Annotated[Path | None, typer.Option("--map", help="Points of a map (PLY, PCD), for .rrd.")] = None,
     frame: Annotated[
@@ -55,7 +59,7 @@ def run(
         stamps = stamps[:: max(1, -(-len(stamps) // LONGEST))]
     rows = np.clip(np.searchsorted(joints.time, stamps), 0, len(joints.time) - 1)
     q = configurations(model, log, joints, rows)
-    other = None if beside is None else _beside(model, beside, stamps)
+    other = None if beside is None else _beside(model, beside, stamps, config)
     with working(f"drawing {len(rows)} postures ..."):
         if out.suffix.lower() == ".rrd":
             from jaxest.viz import recording
@@ -122,13 +126,14 @@ def configurations(robot: Any, log: Any, joints: Any, rows: Any) -> Any:
     return np.asarray(jax.vmap(lambda x: kinematics.expand(robot, x))(q[:, free]), float)
 
 
-def _beside(robot: Any, given: str, stamps: Any) -> Any:
+def _beside(robot: Any, given: str, stamps: Any, config: Path | None) -> Any:
     import numpy as np
 
     from jaxest import io
+    from jaxest.cli import settings
 
     path, _, name = given.rpartition(":") if ":" in given and not Path(given).exists() else (given, "", "")
-    log = io.read(path)
+    log = io.read(path, settings.load(config).columns)
     joints = _stream(log, name or None)
     rows = np.clip(np.searchsorted(joints.time, stamps), 0, len(joints.time) - 1)
     return configurations(robot, log, joints, rows)

@@ -1,6 +1,7 @@
 """A robot that moves as it was estimated, rendered by MuJoCo off screen: a GIF, or one picture."""
 
 import os
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -111,9 +112,11 @@ def _visible(source: str | Path) -> Any:
     from jaxest.kinematics.load import compile_model
 
     compiled = compile_model(source)  # says what is wrong with a file
-    text = str(source)
+    text = _with_shapes(str(source))
     try:
         spec = mujoco.MjSpec.from_string(text) if text.lstrip().startswith("<") else mujoco.MjSpec.from_file(text)
+        spec.compiler.discardvisual = False  # in a URDF it is set, and takes the sky as well
+        spec.compiler.boundmass = spec.compiler.boundinertia = 1e-9  # a link without inertia can be drawn
         for texture in [t for t in spec.textures if t.type == mujoco.mjtTexture.mjTEXTURE_SKYBOX]:
             spec.delete(texture)
         spec.add_texture(
@@ -123,6 +126,16 @@ def _visible(source: str | Path) -> Any:
         return spec.compile()
     except ValueError:
         return compiled
+
+
+def _with_shapes(source: str) -> str:
+    """Return the text of a URDF that keeps its visual shapes, which MuJoCo leaves out; anything else as it is."""
+    urdf = source.lower().endswith(".urdf")
+    text = Path(source).read_text(encoding="utf-8", errors="replace") if urdf else source
+    if "</robot>" not in text or "<mesh" in text or "<mujoco" in text:
+        return source
+    text = re.sub(r"^\s*<\?xml.*?\?>", "", text)  # MuJoCo takes no declared encoding with a string
+    return text.replace("</robot>", '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco></robot>')
 
 
 def _camera(model: Any, q: NDArray[np.float64]) -> Any:

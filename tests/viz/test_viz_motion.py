@@ -49,6 +49,26 @@ def test_a_robot_without_shapes_is_drawn_as_sticks():
     <child link="c"/><origin xyz="0 0 .4"/><axis xyz="0 1 0"/></joint></robot>"""
     (picture,) = rendered(text, np.zeros((1, 2)), None, SIZE)
     assert np.ptp(picture.astype(int), axis=(0, 1)).max() > 40
+    assert picture[0, 0].min() > 200  # a bright sky
+
+
+def test_visual_shapes_of_a_urdf_are_drawn():
+    """As robots come: a declared encoding, shapes that are for the eye only, which MuJoCo leaves out by default."""
+    shape = '<visual><geometry><box size="0.05 0.05 0.05"/></geometry></visual>'
+    text = """<?xml version="1.0" encoding="utf-8"?>
+    <robot name="eye"><link name="a"/><link name="b">SHAPE</link><joint name="j" type="continuous">
+    <parent link="a"/><child link="b"/><axis xyz="0 1 0"/></joint></robot>"""
+    with_shape, bare = (rendered(text.replace("SHAPE", x), np.zeros((1, 1)), None, SIZE)[0] for x in (shape, ""))
+    assert with_shape[0, 0].min() > 200
+    assert np.mean(with_shape != bare) > 0.01
+
+
+def test_a_urdf_in_a_file_keeps_its_visual_shapes(tmp_path):
+    path = tmp_path / "eye.urdf"
+    path.write_text("""<?xml version="1.0"?><robot name="eye"><link name="a"/><link name="b"><visual><geometry>
+    <sphere radius="0.2"/></geometry></visual></link><joint name="j" type="continuous"><parent link="a"/>
+    <child link="b"/></joint></robot>""")
+    assert animation._visible(path).ngeom == 1
 
 
 def test_files_are_written_once(tmp_path):
