@@ -13,10 +13,9 @@ from quick_compile import QUICK
 
 from jaxest import kinematics, models
 from jaxest.distributions import _bingham_normalizer as bingham
-from jaxest.distributions import _symmetric
-from jaxest.filters import _small
 from jaxest.filters.kalman import _square_root
 from jaxest.filters.particle import proposal
+from jaxest.linalg import _eigen4
 from jaxest.manifolds import quaternion
 
 N = 3
@@ -51,8 +50,7 @@ CASES = {
     "jacobian": (arm_jacobian, (3,), (4,)),
     "gravity_torque": (lambda g, q: kinematics.gravity_torque(ARM, q * g), (), (4,)),
     "forward_dynamics": (arm_acceleration, (), (4,)),
-    "eigh": (lambda s, a: _symmetric.eigh(s * (a + a.T)), (), (4, 4)),
-    "eigen4": (lambda s, a: _small.eigen4(s * (a + a.T)), (), (4, 4)),
+    "eigen4": (lambda s, a: _eigen4.eigen4(s * (a + a.T)), (), (4, 4)),
     "root": (lambda s, a: _square_root.root(s * spd(a)), (), (3, 3)),
     "triangular": (lambda s, a: _square_root.triangular(s * a), (), (3, 5)),
     "mean": (lambda s, x: quaternion.mean(jax.vmap(quaternion.normalize)(x + s)), (), (5, 4)),

@@ -17,7 +17,6 @@ import numpy as np
 from jaxest.filters._bingham_spread import spread_of, turning
 from jaxest.filters._small import (
     applied,
-    eigen4,
     eye,
     inverse3,
     largest,
@@ -30,6 +29,7 @@ from jaxest.filters._small import (
 )
 from jaxest.filters._time import elapsed
 from jaxest.filters.bingham_pairs import Information, general, isotropic, noise_matrix, pair_matrix, parameter
+from jaxest.linalg._eigen4 import eigen4
 from jaxest.manifolds import quaternion as quat
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
 

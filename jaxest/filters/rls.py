@@ -19,7 +19,6 @@ import jax.numpy as jnp
 from jaxest.filters._rls_root import Triangle, square_root_step
 from jaxest.filters._small import (
     applied,
-    eigen4,
     eye,
     inverse3,
     outer,
@@ -31,6 +30,7 @@ from jaxest.filters._small import (
     within_range,
 )
 from jaxest.filters._time import elapsed
+from jaxest.linalg._eigen4 import eigen4
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
 
 

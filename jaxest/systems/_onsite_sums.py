@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxest.filters._small import eigen4, largest, outer
+from jaxest.filters._small import largest, outer
+from jaxest.linalg._eigen4 import eigen4
 from jaxest.manifolds import quaternion as quat
 from jaxest.manifolds._algebra import skew
 from jaxest.systems import _onsite_window as win

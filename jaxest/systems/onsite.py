@@ -9,8 +9,9 @@ import jax.numpy as jnp
 
 from jaxest.filters import bingham_linear, rls
 from jaxest.filters import savitzky_golay as sg
-from jaxest.filters._small import applied, eigen4, eye, held, largest, trace, transposed, turned_back
+from jaxest.filters._small import applied, eye, held, largest, trace, transposed, turned_back
 from jaxest.filters._time import elapsed
+from jaxest.linalg._eigen4 import eigen4
 from jaxest.manifolds import quaternion as quat
 from jaxest.systems import _onsite_covariance as unknown
 from jaxest.systems import _onsite_window as win

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxest.filters import bingham_linear as bingham
 from jaxest.filters import last, run
-from jaxest.filters._small import eigen4, inverse3, largest
+from jaxest.filters._small import inverse3, largest
+from jaxest.linalg._eigen4 import eigen4
 from jaxest.types import NON_FINITE, Reading
 
 
