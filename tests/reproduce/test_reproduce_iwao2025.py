@@ -25,6 +25,7 @@ def first(work):
 
 
 def test_a_row_stands_beside_the_papers(first):
+    assert first.title.startswith("Table II: position error, 1 room of ")
     found = {(row.metric, row.condition): row for row in first.rows}
     error = found["position error", "5 links, link 5"]
     assert error.reference == condition("5 links").paper[5][0]

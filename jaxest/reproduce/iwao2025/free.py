@@ -112,7 +112,8 @@ def roll(choice: Choice, say: Say) -> Section:
             shown.append((f"{rate:g} rad/s, {name}", made.scan.time, error))
 
     def paint(figure: Any) -> None:
-        axis = canvas.plain(figure.subplots(), xlabel="time [s]", ylabel="root's position error [cm]", yscale="log")
+        axis = canvas.plain(figure.subplots(), xlabel="time [s]", ylabel="root's position error [cm]")
+        canvas.logarithmic(axis)
         for (label, time, error), colour in zip(
             shown, (canvas.BLUE, canvas.GREY, canvas.RED, canvas.ORANGE, canvas.GREEN, "0.3"), strict=True
         ):

@@ -99,11 +99,14 @@ def cloud(axis: Any, room: rooms.Room, points: np.ndarray) -> None:
     size = high - low
     hidden = (points[:, 2] > high[2] - 0.12) | (points[:, 0] > high[0] - 0.12) | (points[:, 1] < low[1] + 0.12)
     seen = points[~hidden]
-    axis.scatter(*seen.T, c=seen[:, 2], s=1.5, cmap="viridis", alpha=0.55, linewidths=0)
+    axis.scatter(
+        *seen.T, c=seen[:, 2], s=max(1.5, min(20.0, 6000 / len(seen))), cmap="viridis", alpha=0.55, linewidths=0
+    )
     axis.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axis.set_box_aspect(size)
     axis.view_init(elev=32, azim=-50)
     axis.tick_params(labelsize=7)
+    axis.set(xlabel="x [m]", ylabel="y [m]")  # a third is cut off at the edge
 
 
 def structure(axis: Any, place: np.ndarray, links: int, colour: str, label: str, width: float) -> None:
@@ -128,6 +131,7 @@ def outlines(axis: Any, room: rooms.Room) -> None:
     axis.set_box_aspect(room.upper - room.lower)
     axis.view_init(elev=32, azim=-50)
     axis.tick_params(labelsize=7)
+    axis.set(xlabel="x [m]", ylabel="y [m]")  # a third is cut off at the edge
 
 
 def rendered(links: int, made: runs.Made, free: bool = False) -> np.ndarray | None:

@@ -33,7 +33,7 @@ def table2(choice: Choice, say: Say) -> Section:
         names = names[:1]
     plans = [runs.Plan(100 * choice.seed + i, seconds) for i in range(count)]
     results = gathered(names, plans, choice.work, say, SMALL if choice.small else None)
-    title = f"Table II: position error, {count} rooms of {seconds:g} s"
+    title = f"Table II: position error, {count} room{'s' * (count != 1)} of {seconds:g} s"
     rows = [row for name in names for row in _rows(name, results[name])]
 
     def paint(figure: Any) -> None:
@@ -115,7 +115,7 @@ def _bars(figure: Any, names: Sequence[str], results: Results) -> None:
         axis.barh(at + 0.18, np.mean(errors), 0.34, color=canvas.BLUE, label="jaxest" if at == place[0] else None)
         axis.plot(errors, np.full(len(errors), at + 0.18), "o", color="white", markeredgecolor=canvas.BLUE, ms=4)
         if paper:
-            axis.barh(at - 0.18, paper[0], 0.34, xerr=paper[1], color=canvas.GREY, ecolor="0.6",
+            axis.barh(at - 0.18, paper[0], 0.34, xerr=paper[1], color=canvas.GREY, ecolor="0.15",
                       label="paper" if at == place[0] else None)  # fmt: skip
     axis.set_yticks(place, names)
     axis.legend(frameon=False, fontsize=9)
