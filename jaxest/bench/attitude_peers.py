@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from jaxest.bench.harness import find_peer
 
-G, NANO = 9.80665, 1e3
+G, MICRO, NANO = 9.80665, 1e6, 1e9
 PEERS = {"imufusion": "imufusion", "ahrs, Madgwick": "ahrs", "ahrs, Mahony": "ahrs"}
 """Name of a filter, and the package that it needs."""
 Step = Callable[[NDArray[Any], NDArray[Any], NDArray[Any]], Any]
-"""Takes a sample of gyroscope (3,) rad/s, accelerometer (3,) m/s2 and magnetometer (3,) uT; returns the quaternion."""
+"""Takes a sample of gyroscope (3,) rad/s, accelerometer (3,) m/s2 and magnetometer (3,) T; returns the quaternion."""
 
 
 def steps(interval: float, axes: int) -> dict[str, Step]:
@@ -42,7 +42,7 @@ def _fusion(fusion: Any, interval: float, axes: int) -> Step:
 
     def step(gyr: NDArray[Any], acc: NDArray[Any], mag: NDArray[Any]) -> Any:
         if axes == 9:
-            filtering.update(np.rad2deg(gyr), acc / G, mag)
+            filtering.update(np.rad2deg(gyr), acc / G, mag * MICRO)
         else:
             filtering.update_no_magnetometer(np.rad2deg(gyr), acc / G)
         return filtering.get_quaternion()
@@ -70,7 +70,7 @@ def estimates(sensors: Mapping[str, NDArray[Any]], interval: float, axes: int) -
     """Run every filter over one recording.
 
     Args:
-        sensors: `gyroscope`, `accelerometer`, `magnetometer`, (T, 3) each.
+        sensors: `gyroscope` rad/s, `accelerometer` m/s2, `magnetometer` T, (T, 3) each.
         interval: s.
         axes: 6 or 9.
 

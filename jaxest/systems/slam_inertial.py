@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest.filters._time import elapsed
 from jaxest.filters.kalman import Factor, Gaussian, predict, update
 from jaxest.filters.kalman.model import clean
 from jaxest.kinematics import Robot, frame
@@ -58,7 +59,7 @@ class Driven(NamedTuple):
     accelerometer: Reading
     """(S, 3) m/s2, specific force, +1 g up at rest, and which there are (S,)."""
     spacing: Array
-    """(S,) s, what each sample stands for; 0 fills rows that are none."""
+    """(S,) s, what each sample stands for; 0, or less, fills rows that are none."""
     dt: Array
     """() s."""
 
@@ -216,7 +217,7 @@ def integrate(params: Params, track: Gaussian, measurement: Driven, gravity: Arr
         first, second = both
         return (first.covariance, second), None
 
-    samples = (measurement.gyroscope.value, measurement.accelerometer.value, measurement.spacing)
+    samples = (measurement.gyroscope.value, measurement.accelerometer.value, elapsed(measurement.spacing)[0])
     (apart, after), _ = jax.lax.scan(over, (here, track), jax.tree.map(lambda x: jnp.asarray(x, dtype), samples))
     return after, apart[:6, :6]
 
