@@ -76,13 +76,17 @@ def test_a_particle_filter_has_no_consistency(refused, log):
 
 @pytest.mark.slow
 def test_a_relaxed_filter_is_tuned_to_an_arm_that_stands_still(invoke, log, tmp_path):
-    words = log(CONFIG.replace("particles = 64", "particles = 16"))[1:-2]
-    result = invoke("tune", *words, "--objective", "relaxed", "--free", "walk", "--starts", 1, "--evaluations", 15,
+    """With few particles or evaluations the walk first grows, for the first steps have the farthest to go."""
+    words = log()[1:-2]
+    result = invoke("tune", *words, "--objective", "relaxed", "--free", "walk", "--starts", 1, "--evaluations", 80,
                     "-o", "tuned.toml", "--json")  # fmt: skip
     assert result.exit_code == 0, result.output
     tuned = tomllib.loads((tmp_path / "tuned.toml").read_text())["deflection"]
-    assert tuned["walk"] > 8  # from 5: it does not walk
-    assert tuned["particles"] == 16
+    objective = json.loads(result.stdout)["rows"][0]
+    assert objective["reference_name"] == "start"
+    assert objective["value"] < objective["reference"] - 50
+    assert tuned["walk"] > 5.5  # from 5: it does not walk
+    assert tuned["particles"] == 64
 
 
 def test_a_bent_arm_is_known_better_than_by_its_encoders(invoke, log, tmp_path):
