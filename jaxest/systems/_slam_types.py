@@ -47,8 +47,8 @@ class Params(NamedTuple):
     """() m, that a link must go to see the map with other errors; what it sees before that tells little new."""
     bias_start: ArrayLike = 0.1
     """() or (n,) rad or m, standard deviation of a bias before the first scan."""
-    bias_walk: ArrayLike = 3e-4
-    """() or (n,) rad or m per root s, growth of it."""
+    bias_walk: ArrayLike = 1e-4
+    """() or (n,) rad or m per root s, growth of it; an encoder that is off stays so."""
     encoder: ArrayLike = 1e-4
     """() or (n,) rad or m, white noise of a reading."""
     missing: ArrayLike = 0.1
