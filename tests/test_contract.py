@@ -64,7 +64,8 @@ ROWS = [
     Row("orientation_covariance", partial(orientation.build, covariance=True), {"shaking": 1.0}),
     Row("attitude_ekf", partial(orientation.build, filter=attitude.ekf)),
     Row("attitude_decoupled", partial(orientation.build, filter=attitude.decoupled)),
-    Row("attitude_madgwick", partial(orientation.build, filter=attitude.madgwick)),
+    # Its descent is a gradient of length 1: where the gradient is small, rounding turns it.
+    Row("attitude_madgwick", partial(orientation.build, filter=attitude.madgwick), factor=1024.0),
     Row("pair", pairs),
     Row("posture", fused),
     Row("posture_pairs", paired),
