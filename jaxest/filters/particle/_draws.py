@@ -122,9 +122,18 @@ def together(manifold: Manifold, plan: Plan, moved: PyTree, log_weights: Array) 
     return jax.vmap(of_group, (1, 0, 0, 1, 1), 1)(*given).reshape(count)
 
 
-def seldom(so: Array, function: Callable[[], Array], otherwise: Array) -> Array:
-    """A branch that a batch skips too where none of its items takes it, as loops do and branches do not."""
-    found: Array = jax.lax.fori_loop(0, so.astype(jnp.int32), lambda _, now: function().astype(now.dtype), otherwise)
+def seldom(so: Array, function: Callable[..., Array], operands: PyTree, otherwise: Array) -> Array:
+    """A branch that a batch skips too where none of its items takes it, as loops do and branches do not.
+
+    What it computes hangs on the loop's counter by a barrier: XLA moves out of a loop what does not change in it, and
+    would compute it always.
+    """
+
+    def once(i: Array, now: Array) -> Array:
+        given, _ = jax.lax.optimization_barrier((operands, i))
+        return function(*given).astype(now.dtype)
+
+    found: Array = jax.lax.fori_loop(0, so.astype(jnp.int32), once, otherwise)
     return found
 
 

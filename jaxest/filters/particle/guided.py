@@ -80,8 +80,9 @@ class Guided(NamedTuple):
         if opening is None or opening.scattered is None:
             return ahead, plan
         plan = plan._replace(scattered=begins & opening.scattered(fixed, seen))
-        worth = partial(self._worth, opening, fixed, particles, plan, seen)
-        return draws.seldom(plan.scattered, worth, ahead), plan
+        return draws.seldom(
+            plan.scattered, partial(self._worth, opening), (fixed, particles, plan, seen), ahead
+        ), plan  # fmt: skip
 
     def _worth(self, opening: Opening, params: PyTree, particles: PyTree, plan: Plan, measurement: PyTree) -> Array:
         """How likely the measurement is about each mode, by exact densities: a search from afar need not have ended."""
@@ -158,8 +159,8 @@ class Guided(NamedTuple):
         opening = self.transition.opening
         if opening is not None and opening.scattered is not None:
             equal = jnp.zeros_like(drawn) if log_weights is None else log_weights
-            every = partial(draws.together, self.manifold, plan, moved, jax.lax.stop_gradient(equal))
-            drawn = draws.seldom(plan.scattered, every, drawn)
+            every = partial(draws.together, self.manifold)
+            drawn = draws.seldom(plan.scattered, every, (plan, moved, jax.lax.stop_gradient(equal)), drawn)
         weight = each(self.log_likelihood)(params, moved, measurement)
         return moved, weight + density - jax.lax.stop_gradient(drawn)
 
