@@ -284,6 +284,13 @@ def test_a_batch_calls_no_batched_lapack(case):
         assert all(set(shape[:-2]) <= {"1"} for shape in shapes if len(shape) > 1), call
 
 
+def test_a_first_state_may_be_given_away(case):
+    # What is donated to a compiled step may be written over: a leaf that is two would be given away twice.
+    leaves = jax.tree.leaves(case.system.init(case.params, key=case.key))
+    places = [leaf.unsafe_buffer_pointer() for leaf in leaves if not jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)]
+    assert len(set(places)) == len(places)
+
+
 def test_ten_calls_trace_once(case):
     state, _ = case.live(case.params, case.start(case.params), at(case.measurements, 0))
     first = len(case.traces)

@@ -12,30 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxest.types import OUT_OF_RANGE, Array
-
-
-def finite(tree: Any) -> Array:
-    """Return whether all floating leaves are finite, () bool."""
-    leaves = [x for x in jax.tree.leaves(tree) if jnp.issubdtype(x.dtype, jnp.floating)]
-    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(x)) for x in leaves]))
-
-
-def within_range(before: Any, after: Any, info: Any) -> tuple[Any, Any]:
-    """Take a step where all of its numbers are finite, and otherwise none, with a word.
-
-    Args:
-        before: the state that the step began with.
-        after: the state that it led to.
-        info: what it says; has a `status`.
-
-    Returns:
-        The state, which is the one before where a number outgrew the precision, the step being counted; and the info,
-        whose status is `OUT_OF_RANGE` there.
-    """
-    fits = finite((after, info))
-    kept = jax.tree.map(lambda new, old: jnp.where(fits, new, old), after, before._replace(index=after.index))
-    return kept, info._replace(status=jnp.where(fits, info.status, OUT_OF_RANGE))
+from jaxest.types import Array
 
 
 def product(a: Array, b: Array) -> Array:
@@ -134,6 +111,6 @@ def largest(values: Array, vectors: Array) -> Array:
 
 
 __all__ = [
-    "applied", "eye", "finite", "held", "inverse3", "largest", "outer", "product", "sandwich", "trace",
+    "applied", "eye", "held", "inverse3", "largest", "outer", "product", "sandwich", "trace",
     "transposed", "turned_back", "written_out",
 ]  # fmt: skip

@@ -25,8 +25,8 @@ from jaxest.filters._small import (
     sandwich,
     trace,
     transposed,
-    within_range,
 )
+from jaxest.filters._state import within_range
 from jaxest.filters._time import elapsed
 from jaxest.filters.bingham_pairs import Information, general, isotropic, noise_matrix, pair_matrix, parameter
 from jaxest.linalg._eigen4 import eigen4

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
+from jaxest.filters._state import apart
 from jaxest.filters.imu import Imu, Sample, directed, direction, imu, usable
 from jaxest.manifolds import quaternion as quat
 from jaxest.types import Array, ArrayLike
@@ -76,7 +77,7 @@ def init(params: Params, *, key: Array | None = None) -> State:
     dtype = jnp.result_type(*params)
     dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
     no = jnp.zeros((), bool)
-    return State(jnp.array([1, 0, 0, 0], dtype), jnp.zeros(3, dtype), jnp.zeros((), jnp.int32), no, no)
+    return apart(State(quat.identity(dtype), jnp.zeros(3, dtype), jnp.zeros((), jnp.int32), no, no))
 
 
 def exponential(quaternion: Array, rate: Array, dt: Array) -> Array:

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxest.filters import complementary
-from jaxest.filters._small import finite
+from jaxest.filters._state import finite
 from jaxest.filters.imu import Imu, Sample, directed, usable
 from jaxest.manifolds import quaternion as quat
 from jaxest.types import OUT_OF_RANGE, Array, ArrayLike, Step

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest.filters._state import apart
 from jaxest.filters.complementary import Params
 from jaxest.filters.imu import Imu, Sample, directed, usable
 from jaxest.manifolds import quaternion as quat
@@ -96,7 +97,7 @@ def init(params: Params, edges: Edges, imus: int, *, key: Array | None = None) -
     dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
     no = jnp.zeros(len(edges), bool)
     one = jnp.tile(quat.identity(dtype)[None], (len(edges), 1))
-    return State(one, jnp.zeros((imus, 3), dtype), jnp.zeros((), jnp.int32), no, no)
+    return apart(State(one, jnp.zeros((imus, 3), dtype), jnp.zeros((), jnp.int32), no, no))
 
 
 def step(

@@ -27,8 +27,8 @@ from jaxest.filters._small import (
     trace,
     transposed,
     turned_back,
-    within_range,
 )
+from jaxest.filters._state import apart, within_range
 from jaxest.filters._time import elapsed
 from jaxest.linalg._eigen4 import eigen4
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
@@ -125,7 +125,7 @@ def init(params: Params, *, key: Array | None = None, lag: int = 100) -> State:
     information, projection, queue, block, blocks = (
         jnp.zeros(shape, dtype) for shape in ((3, 3), (3,), (lag, 3), (9,), (9, 9))
     )
-    return State(information, projection, projection, queue, block, blocks, none > 0, none, none)
+    return apart(State(information, projection, projection, queue, block, blocks, none > 0, none, none))
 
 
 Start = Callable[[Array, Array], tuple[Array, Array]]

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 
 from jaxest.filters._savitzky_golay_recording import Smoothed, smooth, windows
 from jaxest.filters._savitzky_golay_weights import Weights, averaging, evaluate, weights
+from jaxest.filters._state import apart
 from jaxest.filters._time import elapsed
 from jaxest.types import NON_FINITE, OK, Array, ArrayLike, Reading
 
@@ -89,7 +90,8 @@ def init(params: Params, *, key: Array | None = None, half_width: int = 7, chann
     dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
     width = 2 * half_width + 1
     age = jnp.zeros(width, dtype)
-    return State(age, jnp.zeros((width, channels), dtype), jnp.zeros(width, bool), age, jnp.zeros((), jnp.int32))
+    seen = jnp.zeros(width, bool)
+    return apart(State(age, jnp.zeros((width, channels), dtype), seen, age, jnp.zeros((), jnp.int32)))
 
 
 def push(state: State, value: Array, valid: Array, dt: Array) -> State:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxest.filters import bingham_linear, rls
 from jaxest.filters import savitzky_golay as sg
 from jaxest.filters._small import eye
+from jaxest.filters._state import apart
 from jaxest.types import Array, ArrayLike
 
 
@@ -131,7 +132,7 @@ def init(params: Params, *, key: Array | None = None, half_width: int = 7, lag: 
     window = sg.init(sg.Params(zero), half_width=half_width, channels=6)
     turn = bingham_linear.init(turning(params, dtype))
     place = rls.init(rls.Params(zero, zero, zero), lag=lag)
-    return closed(Memory((window, window), turn, place, jnp.zeros((3, 12), dtype), zero, zero), window.index)
+    return apart(closed(Memory((window, window), turn, place, jnp.zeros((3, 12), dtype), zero, zero), window.index))
 
 
 def turning(params: Params, dtype: Any) -> bingham_linear.Params:

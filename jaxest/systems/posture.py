@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.filters import attitude
+from jaxest.filters._state import apart
 from jaxest.filters._time import elapsed
 from jaxest.filters.imu import Imu
 from jaxest.kinematics import Robot, frame
@@ -153,7 +154,7 @@ def init(inner: System, count: int, params: Params, *, key: Array | None = None)
     filters = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *jnp.shape(x))), one)
     dtype = next(x.dtype for x in jax.tree.leaves(one) if jnp.issubdtype(x.dtype, jnp.floating))
     zero = jnp.zeros(count, dtype)
-    return State(
+    first = State(
         filters,
         jnp.asarray(params.start, dtype),
         zero,
@@ -163,6 +164,7 @@ def init(inner: System, count: int, params: Params, *, key: Array | None = None)
         jnp.zeros(count, bool),
         jnp.zeros((), jnp.int32),
     )
+    return apart(first)
 
 
 def step(

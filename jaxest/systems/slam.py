@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest import linalg
-from jaxest.filters._small import within_range
+from jaxest.filters._state import apart, within_range
 from jaxest.filters.kalman.gaussian import product, symmetric
 from jaxest.filters.kalman.model import clean
 from jaxest.kinematics import Robot
@@ -107,7 +107,8 @@ def init(body: Body, layout: Layout, capacity: int, align: bool, params: Params,
     chart = empty(layout, capacity, extra, dtype)
     still, unseen, none = jnp.zeros(6, dtype), jnp.zeros((), dtype), jnp.zeros((), jnp.int32)
     first = bodies.home(body, dtype)
-    return State(first, jnp.diag(spread), chart, unknowns(first.bias, mounts), reading, still, unseen, mounts, none)
+    known = unknowns(first.bias, mounts)
+    return apart(State(first, jnp.diag(spread), chart, known, reading, still, unseen, mounts, none))
 
 
 def points_of(body: Body, ranges: Reading) -> Points:

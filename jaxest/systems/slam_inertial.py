@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxest.filters._state import apart
 from jaxest.filters._time import elapsed
 from jaxest.filters.kalman import Factor, Gaussian, predict, update
 from jaxest.filters.kalman.model import clean
@@ -157,7 +158,8 @@ def init(setup: Setup, params: Params, *, key: Array | None = None) -> State:
     deviations = (0.0, 0.0, params.speed_start, params.gyroscope_start, params.accelerometer_start)
     variance = jnp.concatenate([jnp.full(3, d, dtype) ** 2 for d in deviations])
     none = jnp.zeros(3, dtype)
-    return State(inner, Gaussian(Track(start, none, none, none), jnp.diag(variance)), jnp.zeros((), jnp.int32))
+    track = Gaussian(Track(start, none, none, none), jnp.diag(variance))
+    return apart(State(inner, track, jnp.zeros((), jnp.int32)))
 
 
 def _typed(pose: se3.Pose, dtype: Any) -> se3.Pose:

@@ -16,7 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxest.filters._small import finite
+from jaxest.filters._state import finite
 from jaxest.filters.attitude import lowpass as low
 from jaxest.filters.attitude import rest as resting
 from jaxest.filters.attitude.decoupled_state import Info, Params, State, init

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxest.filters._state import apart
 from jaxest.filters.attitude import lowpass as low
 from jaxest.filters.attitude import rest as resting
 from jaxest.manifolds import quaternion as quat
@@ -124,10 +125,10 @@ def init(params: Params, *, key: Array | None = None) -> State:
     zero, vector, matrix = (jnp.zeros(shape, dtype) for shape in ((), 3, (3, 3)))
     no, one = jnp.zeros((), bool), quat.identity(dtype)
     spread = jnp.eye(3, dtype=dtype) * jnp.asarray(params.initial_bias, dtype) ** 2
-    return State(
+    return apart(State(
         one, one, low.begin(15, dtype), vector, spread, vector, matrix, zero, resting.begin(dtype), zero, zero, zero,
         zero + 1, jnp.zeros((), jnp.int32), no, no,
-    )  # fmt: skip
+    ))  # fmt: skip
 
 
 __all__ = ["Info", "Params", "State", "init"]

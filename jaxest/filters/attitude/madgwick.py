@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxest.filters._state import apart
 from jaxest.filters.attitude.vectors import levelled, northward
 from jaxest.filters.imu import Imu, direction, usable
 from jaxest.manifolds import quaternion as quat
@@ -62,7 +63,7 @@ def init(params: Params, *, key: Array | None = None) -> State:
     dtype = jnp.result_type(*params)
     dtype = dtype if jnp.issubdtype(dtype, jnp.floating) else jnp.result_type(float)
     no = jnp.zeros((), bool)
-    return State(quat.identity(dtype), jnp.zeros((), jnp.int32), no, no)
+    return apart(State(quat.identity(dtype), jnp.zeros((), jnp.int32), no, no))
 
 
 def step(params: Params, state: State, measurement: Imu, *, key: Array | None = None) -> tuple[State, Info]:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxest.filters._small import within_range
+from jaxest.filters._state import within_range
 from jaxest.filters._time import elapsed
 from jaxest.filters.kalman.factors import Factor
 from jaxest.filters.kalman.gain import Gain, by_size
