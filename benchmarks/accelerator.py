@@ -1,12 +1,14 @@
 """An accelerator beside this machine's own processor: the same numbers, scaling curves, compile times.
 
-    python benchmarks/accelerator.py FOLDER [--platform cuda] [--seconds 240] [--workers 16] [--small]
+    python benchmarks/accelerator.py FOLDER [--platform cuda] [--seconds 600] [--workers 16] [--last 2] [--small]
+                                     [--curves robots links ...] [--cases guided ...]
 
 First all programs are compiled, as many at a time as there are workers, and the two are compared (`agreement.py`);
 then, alone, `jaxest bench scaling` runs on the accelerator and on the processor. Each row is written as it comes, so
 that whatever ends the run leaves what was measured: `FOLDER/agreement.jsonl`, `compile.jsonl`, `PLATFORM.jsonl` and
 `cpu.jsonl`, and at the end a table of all, `FOLDER/accelerator.md`. Parts that are not done in their share of the
-seconds are ended.
+seconds are ended. A program takes half a minute to compile, so that few minutes are enough for the largest sizes
+(`--last`) or for some curves and cases, not for all.
 """
 
 import argparse
@@ -22,19 +24,20 @@ from typing import Any
 
 COMPILE, MEASURE = 0.45, 0.75
 """Shares of the time after which compiling, and measuring on the accelerator, ends."""
-CURVE_S = 6.0
+CURVE_S = 20.0
 
 
-def child(task: str, name: str, folder: Path, small: bool) -> None:
+def child(task: str, name: str, given: Any) -> None:
     """Do one task in this process, whose platform is chosen by its environment."""
+    folder = given.folder
     if task == "agreement":
         import agreement
 
         keep(folder / "agreement.jsonl", (row._asdict() for row in agreement.rows(name)))
     elif task == "compile":
-        keep(folder / "compile.jsonl", compiled(name, small))
+        keep(folder / "compile.jsonl", compiled(name, given))
     else:
-        keep(folder / f"{task}.jsonl", measured(small))
+        keep(folder / f"{task}.jsonl", measured(given))
 
 
 def keep(path: Path, rows: Any) -> None:
@@ -44,37 +47,40 @@ def keep(path: Path, rows: Any) -> None:
             file.write(json.dumps(row) + "\n")
 
 
-def compiled(name: str, small: bool) -> Any:
-    """Compile one curve's programs at all sizes."""
+def compiled(name: str, given: Any) -> Any:
+    """Compile one curve's program of one size."""
     import jax
 
     from jaxest.bench import scaling_cases
 
-    (curve,) = (one for one in scaling_cases.curves(small, False) if one.item == name)
-    for size in curve.sizes:
-        begun = time.perf_counter()
-        program = curve.build(size)
-        if hasattr(program.fn, "lower"):
-            program.fn.lower(*program.args).compile()
-        else:
-            jax.block_until_ready(program.call())
-        condition = f"{os.environ['JAX_PLATFORMS']}, {size}, with its data, beside other compilations"
-        yield {"metric": name, "condition": condition, "value": time.perf_counter() - begun, "unit": "s"}
+    item, size = name.rsplit(":", 1)
+    (curve,) = (one for one in scaling_cases.curves(given.small, False) if one.item == item)
+    begun = time.perf_counter()
+    program = curve.build(int(size))
+    if hasattr(program.fn, "lower"):
+        program.fn.lower(*program.args).compile()
+    else:
+        jax.block_until_ready(program.call())
+    condition = f"{os.environ['JAX_PLATFORMS']}, {size}, with its data, beside other compilations"
+    yield {"metric": item, "condition": condition, "value": time.perf_counter() - begun, "unit": "s"}
 
 
-def measured(small: bool) -> Any:
+def measured(given: Any) -> Any:
     """Measure this platform's peak and its scaling curves; a curve that fails is told and left."""
     import jax
 
     from jaxest.bench import scaling, scaling_cases, work
 
     kind = jax.devices()[0].device_kind
-    peak = work.peak(size=256, megabytes=1) if small else work.peak()
+    peak = work.peak(size=256, megabytes=1) if given.small else work.peak()
     yield {"metric": "peak, float32 matrix product", "condition": kind, "value": peak.operations, "unit": "1/s"}
     yield {"metric": "peak, copy read and written", "condition": kind, "value": peak.bandwidth, "unit": "B/s"}
-    for curve in scaling_cases.curves(small, False):
+    for curve in scaling_cases.curves(given.small, False):
+        if given.curves and curve.item not in given.curves:
+            continue
+        chosen = {"small": given.small, "only": [curve.item], "last": given.last}
         try:
-            for found in scaling.rows(peers=False, progress=say, small=small, only=[curve.item], seconds=CURVE_S):
+            for found in scaling.rows(peers=False, progress=say, seconds=CURVE_S, **chosen):
                 yield found._asdict()
             program = curve.build(curve.sizes[-1])
             if curve.item in ("particles", "configurations"):
@@ -101,8 +107,8 @@ def start(task: str, name: str, platforms: str, given: Any, until: float) -> Non
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
         "TF_CPP_MIN_LOG_LEVEL": "3",
     }
-    words = [sys.executable, __file__, str(given.folder), "--task", task, "--name", name,
-             *(["--small"] if given.small else [])]  # fmt: skip
+    words = [sys.executable, __file__, str(given.folder), "--task", task, "--name", name, "--last", str(given.last),
+             *(["--small"] if given.small else []), *(["--curves", *given.curves] if given.curves else [])]  # fmt: skip
     say(f"{task} {name} on {platforms}")
     try:
         done = subprocess.run(words, env=environment, timeout=left, check=False).returncode
@@ -139,15 +145,18 @@ def main(arguments: list[str]) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--platform", default="cuda", help="as JAX_PLATFORMS names it")
-    parser.add_argument("--seconds", type=float, default=240.0)
+    parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
+    parser.add_argument("--last", type=int, default=0, help="of each curve only so many sizes, the largest")
+    parser.add_argument("--curves", nargs="*", default=[], help="what is counted; all by default")
+    parser.add_argument("--cases", nargs="*", help="of agreement.py; all by default")
     parser.add_argument("--small", action="store_true", help="tiny sizes, to see that it runs")
     parser.add_argument("--task", help=argparse.SUPPRESS)
     parser.add_argument("--name", default="", help=argparse.SUPPRESS)
     given = parser.parse_args(arguments)
     given.folder.mkdir(parents=True, exist_ok=True)
     if given.task:
-        child(given.task, given.name, given.folder, given.small)
+        child(given.task, given.name, given)
         return 0
     import agreement
 
@@ -155,14 +164,18 @@ def main(arguments: list[str]) -> int:
 
     begun, platform = time.monotonic(), given.platform
     until = begun + COMPILE * given.seconds
-    items = [curve.item for curve in scaling_cases.curves(given.small, False)]
+    studies = [
+        curve for curve in scaling_cases.curves(given.small, False) if curve.item in given.curves or not given.curves
+    ]
+    programs = [f"{curve.item}:{size}" for curve in studies for size in curve.sizes[-given.last :]]
+    cases = (list(agreement.CASES) if given.cases is None else given.cases)[: 2 if given.small else None]
     with ThreadPoolExecutor(given.workers) as pool:
-        for item in reversed(items):  # what compiles longest first
-            pool.submit(start, "compile", item, platform, given, until)
-        for case in list(agreement.CASES)[: 2 if given.small else None]:
+        for case in cases:
             pool.submit(start, "agreement", case, f"{platform},cpu", given, until)
-        for item in items if platform != "cpu" else []:
-            pool.submit(start, "compile", item, "cpu", given, until)
+        for name in reversed(programs):  # what compiles longest first
+            pool.submit(start, "compile", name, platform, given, until)
+        for name in programs if platform != "cpu" else []:
+            pool.submit(start, "compile", name, "cpu", given, until)
     start(platform, "", platform, given, begun + MEASURE * given.seconds)
     if platform != "cpu":
         start("cpu", "", "cpu", given, begun + given.seconds)

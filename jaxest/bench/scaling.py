@@ -19,7 +19,13 @@ SECONDS = 8.0
 
 
 def rows(
-    *, peers: bool, progress: Progress, small: bool = False, only: Sequence[str] = (), seconds: float = SECONDS
+    *,
+    peers: bool,
+    progress: Progress,
+    small: bool = False,
+    only: Sequence[str] = (),
+    seconds: float = SECONDS,
+    last: int = 0,
 ) -> Iterable[Row]:
     """Time one call at each size, by itself and compiled, and fit the exponent over the larger half of the sizes.
 
@@ -28,6 +34,7 @@ def rows(
         progress: hears what is being measured.
         small: two sizes of each, and only of what compiles quickly.
         only: what is to be counted, as in the rows; everything if empty.
+        last: only so many of a curve's sizes, the largest; all if 0.
         seconds: a curve ends where its next size would be reached later than that; it has two sizes at least.
 
     Yields:
@@ -44,7 +51,7 @@ def rows(
             raise unknown_name("curve", name, names)
     for curve in studies:
         if not only or curve.item in only:
-            yield from _one(curve, progress, 2 if small else 5, seconds)
+            yield from _one(curve._replace(sizes=curve.sizes[-last:]), progress, 2 if small else 5, seconds)
 
 
 def _one(curve: Curve, progress: Progress, most: int, seconds: float) -> Iterable[Row]:
