@@ -12,7 +12,19 @@ Not here: files (`jaxest.io.clouds`), poses and filters (`jaxest.systems.slam`).
 from jaxest.mapping.layout import Grid, Hashed, Layout
 from jaxest.mapping.neighbours import Neighbours, nearest
 from jaxest.mapping.planes import Planes, fit, influence
-from jaxest.mapping.voxels import VoxelMap, carried, empty, insert, likeliest, merge, occupied, shift
+from jaxest.mapping.voxels import (
+    VoxelMap,
+    carried,
+    empty,
+    insert,
+    likeliest,
+    merge,
+    moments,
+    occupied,
+    recarried,
+    shift,
+    squares,
+)
 
 __all__ = [
     "Grid",
@@ -28,7 +40,10 @@ __all__ = [
     "insert",
     "likeliest",
     "merge",
+    "moments",
     "nearest",
     "occupied",
+    "recarried",
     "shift",
+    "squares",
 ]

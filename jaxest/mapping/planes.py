@@ -17,21 +17,23 @@ class Planes(NamedTuple):
     normal: Array
     """(n, 3) unit, either way; any unit vector where not valid."""
     thickness: Array
-    """(n,) m, root mean square distance of the neighbours from the plane."""
+    """(n,) m, root mean square distance of the neighbours, and what they are the mean of, from the plane."""
     spread: Array
-    """(n,) m, root mean square extent along the plane's shorter way: small where the points lie on a line."""
+    """(n,) m, root mean square extent of the neighbours along the plane's shorter way: small where they lie on a
+    line."""
     valid: Array
     """(n,) bool, enough neighbours that do not lie on a line."""
     share: Array
     """(k, n) of each neighbour in the centroid; sums to 1 where there is any."""
     moment: tuple[Array, ...]
-    """xx, xy, xz, yy, yz and zz (n,) m2 of the neighbours about the centroid."""
+    """xx, xy, xz, yy, yz and zz (n,) m2 of the neighbours about the centroid, without what is within them."""
 
 
 def fit(
     points: tuple[Array, Array, Array],
     there: Array,
     weight: Array | None = None,
+    within: Array | None = None,
     *,
     least: int = 3,
     line: float = 0.03,
@@ -42,6 +44,8 @@ def fit(
         points: x, y and z (k, n) m; finite everywhere.
         there: (k, n) bool, which neighbours exist.
         weight: (k, n) by how much each counts, positive; all alike if None.
+        within: (6, k, n) m2, xx, xy, xz, yy, yz and zz of what each neighbour is the mean of, about it: the plane is
+            that of all. None if each is one point.
         least: neighbours that a plane needs.
         line: m, a smaller `spread` makes a line of it.
 
@@ -61,21 +65,43 @@ def fit(
 
     center = (mean(x), mean(y), mean(z))
     dx, dy, dz = (v - c[None] for v, c in zip(points, center, strict=True))
-    a = (mean(dx * dx), mean(dx * dy), mean(dx * dz), mean(dy * dy), mean(dy * dz), mean(dz * dz))
-    low, middle = eigenvalues(a)
+    pairs = (dx * dx, dx * dy, dx * dz, dy * dy, dy * dz, dz * dz)
+    between = tuple(mean(p) for p in pairs)
+    a = between if within is None else tuple(b + mean(within[i]) for i, b in enumerate(between))
+    low, _ = eigenvalues(a)
     normal = eigenvector(a, low)
+    trace, determinant = _across(between, normal)
+    narrow = (trace - jnp.sqrt(jnp.maximum(trace**2 - 4 * determinant, FLAT**4))) / 2
     # The root of an exact 0 has no derivative. A floor, for `where` would ask twice for the sign of what is left of
     # rounding, and XLA, which may compute it twice, may answer twice.
-    thickness, spread = (jnp.sqrt(jnp.maximum(v, FLAT**2)) for v in (low, middle))
+    thickness, spread = (jnp.sqrt(jnp.maximum(v, FLAT**2)) for v in (low, narrow))
     valid = (count >= least) & (spread > line)
-    return Planes(jnp.stack(center, -1), normal, thickness, spread, valid, share, a)
+    return Planes(jnp.stack(center, -1), normal, thickness, spread, valid, share, between)
+
+
+def _times(moment: tuple[Array, ...], v: Array) -> Array:
+    """Return A v (n, 3) of symmetric A."""
+    xx, xy, xz, yy, yz, zz = moment
+    a, b, c = (v[:, i] for i in range(3))
+    return jnp.stack([xx * a + xy * b + xz * c, xy * a + yy * b + yz * c, xz * a + yz * b + zz * c], axis=1)
+
+
+def _across(moment: tuple[Array, ...], normal: Array) -> tuple[Array, Array]:
+    """Return trace and determinant (n,) of symmetric A within the plane across a normal (n, 3)."""
+    xx, xy, xz, yy, yz, zz = moment
+    out = _times(moment, normal)
+    along = jnp.sum(normal * out, axis=1)
+    trace = xx + yy + zz - along
+    squares = xx**2 + yy**2 + zz**2 + 2 * (xy**2 + xz**2 + yz**2) - 2 * jnp.sum(out**2, axis=1) + along**2
+    return trace, (trace**2 - squares) / 2
 
 
 def influence(planes: Planes, points: tuple[Array, Array, Array], x: Array) -> Array:
     """Return by how much a plane at x goes along when one of its neighbours leaves it sideways.
 
     Where all neighbours turn about an axis, so does the plane: the sum over neighbours of influence and motion is the
-    motion of the plane beside x, where that of their centroid would leave out the turn.
+    motion of the plane beside x, where that of their centroid would leave out the turn. What neighbours are the mean of
+    is taken to turn as they do.
 
     Args:
         planes: n planes.
@@ -87,13 +113,10 @@ def influence(planes: Planes, points: tuple[Array, Array, Array], x: Array) -> A
     """
     n, away = planes.normal, x - planes.center
     away = away - jnp.sum(n * away, axis=1, keepdims=True) * n
-    xx, xy, xz, yy, yz, zz = planes.moment
-    u, v, w = (away[:, i] for i in range(3))
-    turned = jnp.stack([xx * u + xy * v + xz * w, xy * u + yy * v + yz * w, xz * u + yz * v + zz * w], axis=1)
     # Within the plane the moment A is 2 x 2: its inverse is (trace - A) / determinant, by Cayley and Hamilton.
-    trace, middle = xx + yy + zz - planes.thickness**2, planes.spread**2
-    determinant = jnp.where(planes.valid, middle * (trace - middle), 1)
-    slope = jnp.where(planes.valid[:, None], (trace[:, None] * away - turned) / determinant[:, None], 0)
+    trace, determinant = _across(planes.moment, n)
+    turned = trace[:, None] * away - _times(planes.moment, away)
+    slope = jnp.where(planes.valid[:, None], turned / jnp.where(planes.valid, determinant, 1)[:, None], 0)
     lever = sum(slope[None, :, i] * (points[i] - planes.center[None, :, i]) for i in range(3))
     return planes.share * (1 + lever)
 

@@ -8,6 +8,9 @@ from jaxest.mapping.layout import Layout, cells
 from jaxest.types import Array, ArrayLike
 
 FREE = -1
+COUNT, MOMENT, CARRIED = 3, 4, 10
+"""Where in a row's sums they begin."""
+PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 # Deviations of a reading at which its voxel is looked for; equals go to the first.
 OFFSETS = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, 3.0)
 
@@ -20,7 +23,8 @@ class VoxelMap(NamedTuple):
     point: Array
     """(M, 3) m, the rows' points."""
     total: Array
-    """(M, 4 + d) sums over a row's points: position, count, what they carry."""
+    """(M, 10 + d) sums over a row's points: position, count, xx, xy, xz, yy, yz and zz about their mean, what they
+    carry."""
     slot: Array
     """(M,) int32, each row's slot."""
     used: Array
@@ -49,7 +53,7 @@ def empty(layout: Layout, capacity: int, extra: int = 0, dtype: jnp.dtype | type
     return VoxelMap(
         jnp.full(layout.slots, FREE, jnp.int32),
         jnp.zeros((capacity, 3), dtype),
-        jnp.zeros((capacity, 4 + extra), dtype),
+        jnp.zeros((capacity, CARRIED + extra), dtype),
         jnp.full(capacity, layout.slots, jnp.int32),
         jnp.zeros((), jnp.int32),
         jnp.zeros((), jnp.int32),
@@ -64,6 +68,7 @@ def insert(
     extra: Array | None = None,
     *,
     filed: Array | None = None,
+    noise: Array | None = None,
     most: float = 1000.0,
     central: bool = False,
 ) -> VoxelMap:
@@ -76,27 +81,51 @@ def insert(
         valid: (n,) bool.
         extra: (n, d) what the points carry, if the map carries anything.
         filed: (n, 3) m, in whose voxels the points count, as `likeliest` finds them; the points themselves if None.
+        noise: (n, 3) m, standard deviation of each point along its ray, as a vector: how far points scatter for it is
+            not counted to a voxel's moments, so that these are the surface's own. None if they have none.
         most: a voxel's mean moves as if it had seen at most about this many points.
         central: keep the point nearest to the voxel's centre instead of the mean.
 
     Returns:
         The map. Points that find no room are counted in `overflow` and change nothing else.
     """
-    rows, chart = _rows(layout, chart, point if filed is None else filed, valid)
-    capacity = chart.point.shape[0]
-    ones = jnp.ones((point.shape[0], 1), point.dtype)
-    new = jnp.concatenate([point, ones] + ([] if extra is None else [extra]), axis=1)
+    filed = point if filed is None else filed
+    count = jnp.ones((point.shape[0], 1), point.dtype)
+    rows, after = _rows(layout, chart, filed, valid)
     if central:
-        total = _central(layout, chart, point, rows, new)
-    else:
-        total = chart.total.at[rows].add(new, mode="drop")
-        heavy = total[jnp.minimum(rows, capacity - 1), 3] > 2 * most
-        factor = jnp.where(heavy, 0.5, 1.0).astype(total.dtype)
-        # Rows that several points share get the same factor from each: set, not multiplied.
-        halved = total[jnp.minimum(rows, capacity - 1)] * factor[:, None]
-        total = total.at[jnp.where(heavy, rows, capacity)].set(halved, mode="drop")
-    touched = total[jnp.minimum(rows, capacity - 1), :4]
-    mean = touched[:, :3] / jnp.where(touched[:, 3:] > 0, touched[:, 3:], 1)
+        none = jnp.zeros((point.shape[0], CARRIED - MOMENT), point.dtype)
+        new = jnp.concatenate([point, count, none] + ([] if extra is None else [extra]), axis=1)
+        total = _central(layout, after, point, rows, new)
+        mean = total[jnp.minimum(rows, len(total) - 1), :COUNT]
+        return after._replace(total=total, point=after.point.at[rows].set(mean, mode="drop"))
+    about = _about(layout, chart, after, rows, filed)
+    scattered = squares(point - about) - (0 if noise is None else squares(noise))
+    new = jnp.concatenate([point, count, scattered] + ([] if extra is None else [extra]), axis=1)
+    return _added(after, rows, new, about, most)
+
+
+def squares(x: Array) -> Array:
+    """Return xx, xy, xz, yy, yz and zz (n, 6) of vectors (n, 3)."""
+    return jnp.stack([x[:, i] * x[:, j] for i, j in PAIRS], axis=1)
+
+
+def _about(layout: Layout, before: VoxelMap, after: VoxelMap, rows: Array, filed: Array) -> Array:
+    """Return about which points (n, 3) moments are taken, for all of a row the same: its mean, or its cell's centre."""
+    at = jnp.minimum(rows, len(after.point) - 1)
+    centre = (jnp.floor(filed / layout.voxel) + 0.5) * layout.voxel
+    return jnp.where(before.total[at, COUNT, None] > 0, before.point[at], centre)
+
+
+def _added(chart: VoxelMap, rows: Array, new: Array, about: Array, most: float = jnp.inf) -> VoxelMap:
+    """Add sums (n, 10 + d), moments taken about points (n, 3), to rows, and take these about the new means."""
+    total, at = chart.total.at[rows].add(new, mode="drop"), jnp.minimum(rows, len(chart.total) - 1)
+    # Rows that several points share get the same from each: set, not multiplied.
+    found = total[at]
+    count = found[:, COUNT, None]
+    mean = found[:, :COUNT] / jnp.where(count > 0, count, 1)
+    found = found.at[:, MOMENT:CARRIED].add(-count * squares(mean - about))
+    found = jnp.where(count > 2 * most, 0.5, 1.0).astype(found.dtype) * found
+    total = total.at[rows].set(found, mode="drop")
     return chart._replace(total=total, point=chart.point.at[rows].set(mean, mode="drop"))
 
 
@@ -179,7 +208,27 @@ def occupied(chart: VoxelMap) -> Array:
 def carried(chart: VoxelMap, rows: Array | None = None) -> Array:
     """Return the mean of what the points of rows (...,) carry, (..., d), of all rows if None; 0 where none is."""
     total = chart.total if rows is None else chart.total[rows]
-    return total[..., 4:] / jnp.where(total[..., 3:4] > 0, total[..., 3:4], 1)
+    return _mean(total, CARRIED, total.shape[-1])
+
+
+def moments(chart: VoxelMap, rows: Array) -> Array:
+    """Return how the points of rows (...,) scatter about their mean: xx, xy, xz, yy, yz and zz (..., 6) m2."""
+    # One column at a time: a gather of whole rows would bring what they carry, again.
+    count = chart.total[:, COUNT][rows]
+    count = jnp.where(count > 0, count, 1)
+    return jnp.stack([chart.total[:, i][rows] / count for i in range(MOMENT, CARRIED)], axis=-1)
+
+
+def recarried(chart: VoxelMap, mean: Array) -> VoxelMap:
+    """Let the points of all rows carry other numbers first, on average (M, c)."""
+    end = CARRIED + mean.shape[1]
+    total = chart.total.at[:, CARRIED:end].set(mean * chart.total[:, COUNT, None])
+    return chart._replace(total=total)
+
+
+def _mean(total: Array, begin: int, end: int) -> Array:
+    count = total[..., COUNT, None]
+    return total[..., begin:end] / jnp.where(count > 0, count, 1)
 
 
 def shift(chart: VoxelMap, moved: ArrayLike) -> VoxelMap:
@@ -201,11 +250,23 @@ def merge(layout: Layout, one: VoxelMap, other: VoxelMap) -> VoxelMap:
     Returns:
         The merged map.
     """
-    rows, chart = _rows(layout, one, other.point, occupied(other))
-    total = chart.total.at[rows].add(other.total, mode="drop")
-    touched = total[jnp.minimum(rows, one.point.shape[0] - 1), :4]
-    mean = touched[:, :3] / jnp.where(touched[:, 3:] > 0, touched[:, 3:], 1)
-    return chart._replace(total=total, point=chart.point.at[rows].set(mean, mode="drop"))
+    rows, after = _rows(layout, one, other.point, occupied(other))
+    about = _about(layout, one, after, rows, other.point)
+    apart = squares(other.point - about) * other.total[:, COUNT, None]
+    return _added(after, rows, other.total.at[:, MOMENT:CARRIED].add(apart), about)
 
 
-__all__ = ["FREE", "VoxelMap", "carried", "empty", "insert", "likeliest", "merge", "occupied", "shift"]
+__all__ = [
+    "FREE",
+    "VoxelMap",
+    "carried",
+    "empty",
+    "insert",
+    "likeliest",
+    "merge",
+    "moments",
+    "occupied",
+    "recarried",
+    "shift",
+    "squares",
+]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.filters.kalman.gaussian import product
-from jaxest.mapping import VoxelMap, carried, shift
+from jaxest.mapping import VoxelMap, carried, recarried, shift
 from jaxest.systems import _slam_body as bodies
 from jaxest.systems._slam_body import Body
 from jaxest.types import Array
@@ -41,8 +41,7 @@ def bent(body: Body, chart: VoxelMap, links: bodies.Links, change: Array) -> Vox
     below = product(gone.reshape(-1, n), jnp.asarray(carries.T, slope.dtype)).reshape(slope.shape)
     newer = slope + _cross(above[None], slope) + _cross(axes[None], below)
     moved = shift(chart, jnp.sum((slope + newer) * change[None, None], axis=2) / 2)
-    total = moved.total.at[:, 4 : 4 + 3 * n].set(newer.reshape(count, -1) * moved.total[:, 3:4])
-    return moved._replace(total=total)
+    return recarried(moved, newer.reshape(count, -1))
 
 
 def _turns(body: Body) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -91,13 +91,15 @@ def repeats(params: Any, links: bodies.Links, before: bodies.Links, index: Array
 
 def _stray(params: Any, points: Points, sensors: Array, scans: Array, mount: Mounts | None) -> Array:
     """Return the variances (6,) of a link's rotation and position that one scan leaves, however many its points."""
-    share = params.stray * params.noise
+    share = params.stray * params.noise**2
     count = jnp.maximum(jnp.sum(points.valid), 1)
     far = jnp.sum(jnp.where(points.valid, points.reach**2, 0)) / count
     # Sensors that point elsewhere do so in every scan.
     tilt = LASTS * params.tilt**2 / sensors if mount is None else astray(mount.covariance, sensors)
-    rotation = scans * (params.stray_rotation**2 + share**2) + tilt
-    position = scans * (params.stray_position**2 + share**2 * far)
+    bent = 0 if mount is None else 4 * params.tilt**2
+    second = share**2 + bent**2
+    rotation = scans * (params.stray_rotation**2 + second) + tilt
+    position = scans * (params.stray_position**2 + second * far)
     return jnp.concatenate([jnp.full(3, rotation), jnp.full(3, position)])
 
 
@@ -122,7 +124,16 @@ def _learn(
     extra = slope.reshape(len(x), -1)
     if carry.mounts is not None:
         extra = jnp.concatenate([extra, filed(points, carry.mounts, at)], axis=1)
-    chart = insert(config.layout, carry.chart, x, points.valid & kept, extra, filed=voxel, central=config.central)
+    chart = insert(
+        config.layout,
+        carry.chart,
+        x,
+        points.valid & kept,
+        extra,
+        filed=voxel,
+        noise=scatter[:, None] * ray,
+        central=config.central,
+    )
     return carry._replace(chart=chart), seen._replace(kept=kept)
 
 

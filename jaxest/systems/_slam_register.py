@@ -21,6 +21,7 @@ from jaxest.types import Array
 TRIALS = np.linspace(-2.5, 2.5, 21)  # deviations of a bias at which a link is tried
 DOUBT = 0.05  # rad or m: a bias known worse is tried
 ALIKE = 1e-4  # share by which one start must fit better than another
+POINTS = 0.5  # by so many points that do not fit as well
 STEP = 5e-3  # m or rad: planes are looked for again when a link has moved by more
 BEND = 1e-3  # rad or m: the map is bent when what its points were placed by has changed by more
 REACH = 1.0  # m, at which a rotation counts as a motion
@@ -237,7 +238,7 @@ def register(
         new = jax.lax.cond(needed, lambda: once(covariance, start, jnp.where(trial, part, turn), width), lambda: fit)
         total = jnp.where(part == 0, 0, total) + new.misfit
         # Of starts that fit alike the first counts: what is left of a sum's rounding must not choose.
-        better = trial & needed & (part == parts - 1) & (total < (1 - ALIKE) * least)
+        better = trial & needed & (part == parts - 1) & (total < (1 - ALIKE) * least - POINTS)
         found = (jnp.where(better, total, least), jnp.where(better, start, best), total)
         worked = needed & ~trial
         return (new, jnp.where(worked, start, last), found, count + worked.astype(jnp.int32)), None

@@ -13,6 +13,8 @@ from jaxest.systems._slam_surface import goes, surface
 from jaxest.systems._slam_tilt import Aims, Turned, taken_out
 from jaxest.types import Array
 
+BLUR = 0.2  # share of how a plane moves with the unknowns that is not known
+
 
 class Pose(NamedTuple):
     """One link at the state's mean, and how the state moves it."""
@@ -128,7 +130,7 @@ def match(
     x = world(pose, points.local)
     scatter = params.noise * points.reach
     ray = product(points.ray, pose.rotation.T)
-    plane = surface(layout, chart, x, scatter, params.uneven, len(offset), turned)
+    plane = surface(layout, chart, x, scatter[:, None] * ray, scatter, params.uneven, len(offset), turned)
     planes, read, hazy, n = plane.planes, plane.read, plane.hazy, plane.planes.normal
     known = points.valid & planes.valid
     found = known & (planes.thickness < params.thickness + scatter + hazy**0.5)
@@ -136,7 +138,8 @@ def match(
     residual = jnp.sum(n * (x - planes.center), axis=1) - product(goes(plane, x), offset)
     slant = jnp.sum(n * ray, axis=1)
     white = (scatter * slant) ** 2
-    lasting = params.lasting**2 + (params.share * scatter) ** 2
+    bent = 0 if turned is None else 4 * params.tilt**2 * points.reach
+    lasting = params.lasting**2 + (params.share * scatter**2) ** 2 + bent**2
     tilted = (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0) if turned is None else hazy
     plain = white * (1 + 1 / jnp.maximum(read, 1)) + lasting + tilted + params.uneven**2
     over = jnp.where(found, _overshoot(residual, slant, scatter, plain), 0)
@@ -155,8 +158,9 @@ def match(
     allowed = _allowed(params, points, design, mount, hazy, slack, turned)
     shares = residual**2 / allowed
     inside = found & (shares < 1)
-    again = _alike(whole, along, covariance[roots:, roots:]) * read
-    variance = _variance(params, planes.thickness, scatter, white, tilted, read, again * lasting)
+    unsure, again = covariance[roots:, roots:], read * _alike(whole, along, covariance[roots:, roots:])
+    sway = BLUR**2 * jnp.sum(product(along, unsure) * along, axis=1)
+    variance = _variance(params, planes.thickness, scatter, white, tilted, read, again * (lasting + sway))
     odd = jnp.sum(jnp.where(inside, residual**2 / plain, 0))
     misfit = jnp.sum(jnp.where(points.valid, jnp.where(inside, shares, 1), 0))
     far = None if turned is None else hazy / points.reach**2

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from jaxest.mapping import Layout, Planes, VoxelMap, carried, fit, influence, nearest
+from jaxest.mapping import Layout, Planes, VoxelMap, carried, fit, influence, moments, nearest, squares
 from jaxest.systems._slam_tilt import Turned, parted
 from jaxest.types import Array
 
@@ -26,7 +26,14 @@ class Surface(NamedTuple):
 
 
 def surface(
-    layout: Layout, chart: VoxelMap, x: Array, scatter: Array, uneven: Array, count: int, turned: Turned | None
+    layout: Layout,
+    chart: VoxelMap,
+    x: Array,
+    noise: Array,
+    scatter: Array,
+    uneven: Array,
+    count: int,
+    turned: Turned | None,
 ) -> Surface:
     """Find the planes beside points.
 
@@ -34,7 +41,8 @@ def surface(
         layout: the map's.
         chart: the map; its points carry how they move with the unknowns, (3 * count,), and what `parted` parts.
         x: (n, 3) m, points.
-        scatter: (n,) m, of their ranges.
+        noise: (n, 3) m, deviations of their ranges along their rays.
+        scatter: (n,) m, the same in length.
         uneven: () m, by which a surface is none.
         count: number u of unknowns.
         turned: where the sensors' turns are estimated.
@@ -45,7 +53,9 @@ def surface(
     near = nearest(layout, chart, x, 2**0.5 * scatter)  # of the point, and of one that was read once
     px, py, pz = (chart.point[:, i][near.row] for i in range(3))
     read = jnp.where(near.there, chart.total[:, 3][near.row], 1)
-    planes = fit((px, py, pz), near.there, 1 / (uneven**2 + scatter[None] ** 2 / read))
+    # Of one reading nothing is known of how its voxel's surface lies: what its noise was taken for is given back.
+    within = jnp.moveaxis(moments(chart, near.row), -1, 0) + squares(noise).T[:, None] / read[None]
+    planes = fit((px, py, pz), near.there, 1 / (uneven**2 + scatter[None] ** 2 / read), within)
     kept = jnp.where(near.there[..., None], carried(chart, near.row), 0)
     moved = kept[..., : 3 * count].reshape(*kept.shape[:2], 3, count)
     across = jnp.sum(planes.normal[None, :, :, None] * moved, axis=2)

@@ -16,15 +16,15 @@ class Params(NamedTuple):
 
     noise: ArrayLike = 0.01 / 2.7
     """() standard deviation of a range, by the range."""
-    floor: ArrayLike = 0.025
+    floor: ArrayLike = 0.002
     """() m, standard deviation of a distance to a plane however near: rows on one plane share its error, and are
     counted for less instead."""
-    uneven: ArrayLike = 0.01
+    uneven: ArrayLike = 0.002
     """() m, standard deviation of a voxel's point however often it was read."""
-    lasting: ArrayLike = 0.005
+    lasting: ArrayLike = 5e-5
     """() m, of the distance to a plane that is the same in every scan, without noise."""
-    share: ArrayLike = 0.3
-    """() the same, by the standard deviation of a reading."""
+    share: ArrayLike = 2.5
+    """() 1/m, the same by the variance of a reading: noise that does not average out is of second order."""
     fresh: ArrayLike = 15.0
     """() by how much more a distance's variance is, for a plane of voxels that were read once each."""
     rough: ArrayLike = 30.0
@@ -37,17 +37,17 @@ class Params(NamedTuple):
     """() m^0.5, a residual beyond this times the root of its range, and three times its noise, does not count."""
     thickness: ArrayLike = 0.005
     """() m, of a plane at most, beyond a range's standard deviation."""
-    stray_position: ArrayLike = 0.001
+    stray_position: ArrayLike = 1e-5
     """() m, standard deviation along each axis of where the map's own errors place a link, without noise."""
-    stray_rotation: ArrayLike = 0.0007
+    stray_rotation: ArrayLike = 1e-5
     """() rad, the same of its rotation."""
-    stray: ArrayLike = 0.1
-    """() what noise adds to both: by the standard deviation of a reading, and by that of its direction from afar."""
+    stray: ArrayLike = 2.0
+    """() rad, what noise adds to both: by `noise` squared, as a rotation, and as a position from afar."""
     renewal: ArrayLike = 0.2
     """() m, that a link must go to see the map with other errors; what it sees before that tells little new."""
     bias_start: ArrayLike = 0.1
     """() or (n,) rad or m, standard deviation of a bias before the first scan."""
-    bias_walk: ArrayLike = 1e-4
+    bias_walk: ArrayLike = 1e-5
     """() or (n,) rad or m per root s, growth of it; an encoder that is off stays so."""
     encoder: ArrayLike = 1e-4
     """() or (n,) rad or m, white noise of a reading."""

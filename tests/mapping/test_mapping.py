@@ -62,6 +62,71 @@ def test_a_voxel_holds_the_mean_of_its_points_and_of_what_they_carry(layout, dty
     assert found.dtype == dtype
 
 
+def test_a_voxel_holds_how_its_points_scatter_about_their_mean(layout, dtype):
+    chart, points = filled(layout, dtype)
+    cells = {}
+    for point in points:
+        cells.setdefault(tuple(np.floor(point / dtype.type(0.2)).astype(int)), []).append(point.astype(float))
+    means = np.array([np.mean(group, axis=0) for group in cells.values()])
+    squares = np.array([np.cov(np.array(group).T, bias=True)[np.triu_indices(3)] for group in cells.values()])
+    used = int(chart.used)
+    index = cKDTree(means).query(np.asarray(chart.point)[:used])[1]
+    found = mapping.moments(chart, jnp.arange(used))
+    np.testing.assert_allclose(found, squares[index], atol=40 * np.finfo(dtype).eps * 0.04)
+
+
+def test_noise_of_readings_is_no_part_of_a_surface():
+    """A wall at the middle of a voxel, read 4000 times with a deviation of 2 cm along slanting rays, in scans of 8."""
+    random = np.random.default_rng(5)
+    y, z = random.uniform(0.01, 0.19, (2, 500, 8))
+    ray = np.float32([0.8, 0.6, 0.0])
+    wall = np.stack([np.full_like(y, 0.1), y, z], axis=-1)
+    noise = np.broadcast_to(0.02 * ray, wall.shape[1:])
+    chart = blind = mapping.empty(HASHED, 4)
+    insert = jax.jit(lambda chart, point, noise: mapping.insert(
+        HASHED, chart, point, np.ones(8, bool), filed=jnp.full((8, 3), 0.1), noise=noise))  # fmt: skip
+    for points, errors in zip(wall, random.normal(size=(500, 8, 1)), strict=True):
+        read = (points + 0.02 * ray * errors).astype(np.float32)
+        chart, blind = insert(chart, read, noise.astype(np.float32)), insert(blind, read, jnp.zeros((8, 3)))
+    depth, scattered = (float(mapping.moments(one, jnp.arange(1))[0, 0]) for one in (chart, blind))
+    variance = 0.016**2
+    standard_error = variance * (2 / 4000) ** 0.5
+    assert abs(scattered - variance) < 4 * standard_error
+    assert abs(depth) < 4 * standard_error
+    np.testing.assert_allclose(chart.point, blind.point)
+
+
+def test_a_plane_is_that_of_all_points_of_its_voxels(x64):
+    """Five voxels of 40 points each: plane and thickness are those of the 200 points, not of five means."""
+    random = np.random.default_rng(8)
+    points = random.uniform(0, 0.2, (5, 40, 3)) * [1, 1, 0.3] + random.uniform(0, 0.4, (5, 1, 3)) * [1, 1, 0.2]
+    mean = points.mean(axis=1)
+    within = np.stack([np.cov(one.T, bias=True)[np.triu_indices(3)] for one in points]).T[:, :, None]
+    planes = mapping.fit(tuple(jnp.asarray(x[:, None]) for x in mean.T), jnp.ones((5, 1), bool), None, within)
+    value, vector = np.linalg.eigh(np.cov(points.reshape(-1, 3).T, bias=True))
+    np.testing.assert_allclose(planes.thickness[0], value[0] ** 0.5, rtol=1e-9)
+    np.testing.assert_allclose(abs(planes.normal[0] @ vector[:, 0]), 1, rtol=1e-12)
+    inside = (mean - mean.mean(axis=0)) @ vector[:, 1:]
+    np.testing.assert_allclose(planes.spread[0], np.linalg.eigvalsh(inside.T @ inside / 5)[0] ** 0.5, rtol=1e-9)
+
+
+def test_a_step_finer_than_a_voxel_is_no_plane():
+    """A pillar's face 11 cm before a wall: a plane fits the voxels' means, and their points not at all."""
+    random = np.random.default_rng(9)
+    across, height = random.uniform(-0.5, 0.5, 20_000), random.uniform(0, 0.6, 20_000)
+    depth = np.where(across > 0.06, 0.0, 0.11) + 0.04
+    points = np.stack([across, depth, height], axis=1).astype(np.float32)
+    chart = put(HASHED, mapping.empty(HASHED, 256), points, np.ones(len(points), bool), None)
+    at = jnp.asarray(np.float32([[0.08, 0.04, 0.3], [-0.3, 0.15, 0.3]]))
+    near = mapping.nearest(HASHED, chart, at)
+    beside = tuple(chart.point[:, i][near.row] for i in range(3))
+    within = jnp.moveaxis(mapping.moments(chart, near.row), -1, 0)
+    means, all_points = mapping.fit(beside, near.there), mapping.fit(beside, near.there, None, within)
+    assert float(means.thickness[0]) < 0.012 and abs(float(means.normal[0, 1])) < 0.99
+    assert float(all_points.thickness[0]) > 0.03
+    assert float(all_points.thickness[1]) < 1e-3
+
+
 def test_invalid_points_change_nothing(layout):
     chart, points = filled(layout, np.dtype("float32"))
     half = np.arange(300) % 2 == 0
@@ -220,6 +285,8 @@ def test_merging_is_inserting_all(layout):
     distance, index = cKDTree(theirs).query(ours)
     assert distance.max() < 1e-5
     np.testing.assert_allclose(mapping.carried(merged)[: len(ours)], mapping.carried(both)[index], atol=1e-4)
+    scattered = mapping.moments(both, jnp.asarray(index))
+    np.testing.assert_allclose(mapping.moments(merged, jnp.arange(len(ours))), scattered, atol=1e-7)
 
 
 def test_a_shifted_map_is_the_map_of_shifted_points():

@@ -110,7 +110,9 @@ def told(one: Condition, params: Any, chain: bool = False) -> Any:
         params = params._replace(variance=level)
     else:
         # Uniform up to the largest angle about an axis in any direction is a third of it about each.
-        params = params._replace(noise=one.noise / proximity.SIGMAS, tilt=np.deg2rad(one.tilt_deg) / 3)
+        tilt = np.deg2rad(one.tilt_deg) / 3
+        # The paper's encoders are off by a constant, and have no noise.
+        params = params._replace(noise=one.noise / proximity.SIGMAS, tilt=tilt, encoder=0.0)
     return jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), params)
 
 
