@@ -133,9 +133,12 @@ def match(
     plane = surface(layout, chart, x, scatter[:, None] * ray, scatter, params.uneven, len(offset), turned)
     planes, read, hazy, n = plane.planes, plane.read, plane.hazy, plane.planes.normal
     known = points.valid & planes.valid
-    found = known & (planes.thickness < params.thickness + scatter + hazy**0.5)
     roots = len(covariance) - len(offset)
-    residual = jnp.sum(n * (x - planes.center), axis=1) - product(goes(plane, x), offset)
+    moves, unsure = goes(plane, x), covariance[roots:, roots:]
+    sway = jnp.sum(product(moves, unsure) * moves, axis=1)
+    # Of links whose biases are not known yet a wall has layers.
+    found = known & (planes.thickness < params.thickness + scatter + (hazy + sway) ** 0.5)
+    residual = jnp.sum(n * (x - planes.center), axis=1) - product(moves, offset)
     slant = jnp.sum(n * ray, axis=1)
     white = (scatter * slant) ** 2
     bent = 0 if turned is None else 4 * params.tilt**2 * points.reach
@@ -158,9 +161,8 @@ def match(
     allowed = _allowed(params, points, design, mount, hazy, slack, turned)
     shares = residual**2 / allowed
     inside = found & (shares < 1)
-    unsure, again = covariance[roots:, roots:], read * _alike(whole, along, covariance[roots:, roots:])
-    sway = BLUR**2 * jnp.sum(product(along, unsure) * along, axis=1)
-    variance = _variance(params, planes.thickness, scatter, white, tilted, read, again * (lasting + sway))
+    again = _alike(whole, along, unsure) * read
+    variance = _variance(params, planes.thickness, scatter, white, tilted, read, again * (lasting + BLUR**2 * sway))
     odd = jnp.sum(jnp.where(inside, residual**2 / plain, 0))
     misfit = jnp.sum(jnp.where(points.valid, jnp.where(inside, shares, 1), 0))
     far = None if turned is None else hazy / points.reach**2

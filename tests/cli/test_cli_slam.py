@@ -17,14 +17,14 @@ from jaxest.types import InputError
 
 CONFIG = """
 [slam]
-points = 64
+points = 128
 capacity = 2000
 
 [slam.rings.body]
 frames = ["root", "link1", "link2"]
 along = 0.085
 rows = 4
-columns = 2
+columns = 4
 """
 
 ALIGNED = """
@@ -46,7 +46,7 @@ columns = 3
 def log():
     scene = rooms.scene(2, rooms.room(4, reach=1.0))
     time, q = proximity.inside(scene, 4, duration=1.2)
-    sensors = [s for frame in ("root", "link1", "link2") for s in ring(frame, 0.085, rows=4, columns=2)]
+    sensors = [s for frame in ("root", "link1", "link2") for s in ring(frame, 0.085, rows=4, columns=4)]
     scan = proximity.cast(scene, sensors, q, time)
     value, there = proximity.corrupt(scan, sensors, proximity.Faults(), 0)
     ranges = np.where(there, value, np.nan).astype(float)
@@ -156,7 +156,7 @@ def test_an_imu_drives_a_free_root(tmp_path):
         ({}, r"names no sensor; expected .*\[slam.rings.arm\] frames = "),
         ({"rings": {"a": {"along": 0.1}}}, r"\[slam.rings.a\]: has no frame"),
         ({"sensors": {"a": {"frame": "root"}}}, r"\[slam.sensors.a\]: has no position, directions"),
-        ({"rings": {"a": {"frame": "root"}}}, "has 192 columns, the config's sensors 512 zones"),
+        ({"rings": {"a": {"frame": "root"}}}, "has 384 columns, the config's sensors 512 zones"),
         ({"rings": {"a": {"frame": "toor"}}}, "frame 'toor' does not exist"),
         ({"rings": {"a": {"frame": "root"}}, "ranges": "rangs"}, "did you mean 'ranges'"),
         ({"rings": {"a": {"frame": "root"}}, "noise": 0.0}, r"\[slam\] noise: got 0, expected a finite .* more than 0"),
@@ -182,8 +182,8 @@ def test_an_encoder_that_misses_a_row_goes_on(log):
     spoiled = SensorLog(log.streams | {"joints": log.streams["joints"]._replace(value=value)})
     robot = kinematics.load(rooms.structure(2))
     with pytest.raises(InputError, match=r"stream of joints: row 5 .* is not finite"):
-        slam._measurements(spoiled, {}, robot, 192, "error")
-    _, given, _ = slam._measurements(spoiled, {}, robot, 192, "missing")
+        slam._measurements(spoiled, {}, robot, 384, "error")
+    _, given, _ = slam._measurements(spoiled, {}, robot, 384, "missing")
     assert given.joints.valid.all()
     np.testing.assert_allclose(np.delete(given.joints.value, 5, 0), np.delete(value, 5, 0), atol=1e-6)
 
