@@ -11,7 +11,7 @@ from jaxest.systems import _slam_body as bodies
 from jaxest.systems._slam_body import Body
 from jaxest.systems._slam_register import REACH, Carry, Config, Seen, rebased, register, subset
 from jaxest.systems._slam_rows import Points, Pose, point_slope, world
-from jaxest.systems._slam_tilt import Mounts, Turned, aimed, astray, filed, learned, swung, unknowns, widened
+from jaxest.systems._slam_tilt import BENT, Mounts, Turned, aimed, astray, filed, learned, swung, unknowns, widened
 from jaxest.types import Array
 
 LASTS = 25.0  # scans: an error of the link's that never changes counts as new that seldom
@@ -96,7 +96,7 @@ def _stray(params: Any, points: Points, sensors: Array, scans: Array, mount: Mou
     far = jnp.sum(jnp.where(points.valid, points.reach**2, 0)) / count
     # Sensors that point elsewhere do so in every scan.
     tilt = LASTS * params.tilt**2 / sensors if mount is None else astray(mount.covariance, sensors)
-    bent = 0 if mount is None else 4 * params.tilt**2
+    bent = 0 if mount is None else BENT * params.tilt**2
     second = share**2 + bent**2
     rotation = scans * (params.stray_rotation**2 + second) + tilt
     position = scans * (params.stray_position**2 + second * far)

@@ -10,7 +10,7 @@ from jaxest.filters.kalman.gaussian import product, symmetric
 from jaxest.manifolds import so3
 from jaxest.mapping import Layout, VoxelMap
 from jaxest.systems._slam_surface import goes, surface
-from jaxest.systems._slam_tilt import Aims, Turned, taken_out
+from jaxest.systems._slam_tilt import BENT, Aims, Turned, taken_out
 from jaxest.types import Array
 
 BLUR = 0.2  # share of how a plane moves with the unknowns that is not known
@@ -141,7 +141,7 @@ def match(
     residual = jnp.sum(n * (x - planes.center), axis=1) - product(moves, offset)
     slant = jnp.sum(n * ray, axis=1)
     white = (scatter * slant) ** 2
-    bent = 0 if turned is None else 4 * params.tilt**2 * points.reach
+    bent = 0 if turned is None else BENT * params.tilt**2 * points.reach
     lasting = params.lasting**2 + (params.share * scatter**2) ** 2 + bent**2
     tilted = (params.tilt * points.reach) ** 2 * jnp.maximum(1 - slant**2, 0) if turned is None else hazy
     plain = white * (1 + 1 / jnp.maximum(read, 1)) + lasting + tilted + params.uneven**2

@@ -26,6 +26,7 @@ SHIFT = 0.3  # share of the square of a sideways error that moves a point off it
 OWN = 0.003  # rad, of a sensor's direction in one scan, by what is uneven in the little that it sees of a map
 SHARED = 1.0  # scans: what was unknown of turns when the map was made counts as new that seldom
 AFRESH = 5.0  # scans: what is unknown of a link's turns counts as new that seldom for where the link is
+BENT = 4.0  # of the square of a sensor's turn: what a map made with turned sensors is still wrong by
 
 
 class Mounts(NamedTuple):

@@ -295,9 +295,8 @@ def test_a_free_roots_covariance_holds_it():
         np.testing.assert_allclose(info.position[0, 0], 0, atol=1e-5)
         error = np.asarray(info.position)[-1, 0] - np.asarray(truth.position)[-1, 0]
         squared.append(error @ np.linalg.solve(np.asarray(info.pose_covariance)[-1, 0, 3:, 3:], error) / 3)
-    assert (
-        0.4 < np.mean(squared) < 3
-    )  # too sure by a half in the first second, while planes are read for the first time
+    # Too sure by a half in the first second, while planes are read for the first time.
+    assert 0.4 < np.mean(squared) < 3
 
 
 def test_rows_are_the_derivatives_of_their_residuals(x64):
