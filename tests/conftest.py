@@ -26,7 +26,7 @@ SHARED = ROOT.parent / "shared" / "data"
 
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_compilation_cache_dir", str(ROOT / ".cache" / "jax"))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)  # two workers share them
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)  # two workers share them
 jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 gc.set_threshold(200_000, 20, 50)  # a fifth of the time of tracing goes into looking for garbage otherwise
@@ -43,6 +43,21 @@ def compiled_programs_are_let_go():
     if maps.is_file() and maps.read_bytes().count(b"\n") > MOST:
         jax.clear_caches()
         gc.collect()
+
+
+def pytest_collection_modifyitems(items):
+    """Keep the tests of one row of a contract together: a worker then compiles the row's programs once for all."""
+    places = [place for place, item in enumerate(items) if row_of(item)]
+    order = {row: k for k, row in enumerate(dict.fromkeys(row_of(items[place]) for place in places))}
+    together = sorted((items[place] for place in places), key=lambda item: order[row_of(item)])
+    for place, item in zip(places, together, strict=True):
+        items[place] = item
+
+
+def row_of(item) -> str:
+    """The contract's row that a test is about; empty for other tests."""
+    row = item.callspec.params.get("row") if hasattr(item, "callspec") else None
+    return f"{item.path}:{row.name}" if row else ""
 
 
 @pytest.fixture(params=["float32", "float64"])

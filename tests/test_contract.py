@@ -73,12 +73,16 @@ ROWS = [
     Row("torque", pendulum, differentiable=False),  # its gradient compiles for a minute: test_system_torque has one
     Row("savitzky_golay", window),
     Row("bingham_linear", rotation),
-    Row("bingham_linear_general", partial(rotation, bingham_linear.general)),
+    Row("bingham_linear_general", partial(rotation, bingham_linear.general), slow=True),
     Row("onsite", pose),
-    Row("onsite_chain", chain),
+    Row("onsite_chain", chain, slow=True),
     Row("rls", position),
     Row("rls_pseudo_inverse", partial(position, rls.pseudo_inverse)),
-    Row("kalman_iterated", partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0)),
+    Row(
+        "kalman_iterated",
+        partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0),
+        slow=True,  # its gradient compiles for half a minute
+    ),
     Row("slam", tiny, differentiable=False, factor=1e5),
     Row("slam_chain", partial(tiny, system=slam_chain), differentiable=False, factor=1e5, slow=True),
     Row("slam_align", aligned, differentiable=False, factor=1e5, slow=True),
@@ -92,9 +96,8 @@ ROWS = [
         differentiable=False,
     ),
 ]
-DIFFERENTIABLE = [row for row in ROWS if row.differentiable]
-EAGERLY_SLOW = ("posture", "onsite_chain", "slam", "deflection_guided", "deflection_joints", "kalman_iterated",
-                "particle_guided", "bingham_linear_general")  # fmt: skip
+EAGERLY_SLOW = ("posture", "slam", "deflection_guided", "deflection_joints", "particle_guided")
+"""Their step is hundreds of small programs without `jit`, which take long to compile."""
 STEPS = 12
 BATCH = 8
 # Compiles five times faster; what is compared with the live step is therefore also compiled differently.
@@ -133,15 +136,14 @@ class Case(NamedTuple):
         return [at(out, i) for i in range(len(cases))]
 
 
-def marked(row):
-    """A row whose step is hundreds of small programs without `jit`, which take long to compile.
+def params(rows, slow=()):
+    """Rows as parameters, those that are slow and those named among the slow tests."""
+    return [
+        pytest.param(row, id=row.name, marks=[pytest.mark.slow] if row.slow or row.name in slow else []) for row in rows
+    ]
 
-    The last three are variants of a row that runs: `kalman_iterated` has a loop of its own, the others one function.
-    """
-    return pytest.param(row, marks=[pytest.mark.slow] if row.slow or row.name in EAGERLY_SLOW else [], id=row.name)
 
-
-@pytest.fixture(params=[pytest.param(row, marks=[pytest.mark.slow] if row.slow else [], id=row.name) for row in ROWS])
+@pytest.fixture(params=params(ROWS))
 def row(request):
     return request.param
 
@@ -252,7 +254,7 @@ def live_loop(case, params, measurements):
     return state, stacked(infos)
 
 
-@pytest.mark.parametrize("row", [marked(row) for row in ROWS], indirect=True)
+@pytest.mark.parametrize("row", params(ROWS, EAGERLY_SLOW), indirect=True)
 def test_jit_is_no_jit(case, row):
     state = compiled = case.start(case.params)
     for i in range(2):
@@ -355,7 +357,7 @@ def test_a_step_back_in_time_takes_no_time_and_sees_nothing_and_says_so(case):
         same((state, unreported(history)), (expected_state, unreported(expected)))
 
 
-@pytest.mark.parametrize("row", DIFFERENTIABLE, ids=[row.name for row in DIFFERENTIABLE], indirect=True)
+@pytest.mark.parametrize("row", params(row for row in ROWS if row.differentiable), indirect=True)
 def test_gradient_is_the_finite_difference(case):
     gradient = case.gradients((case.params, case.measurements))[0]
     assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(gradient))

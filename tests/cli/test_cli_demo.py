@@ -26,12 +26,12 @@ def test_demo(invoke, tmp_path, monkeypatch):
 
 def test_bands_are_as_wide_as_they_should_and_nothing_is_worse_than_the_encoders():
     robot = kinematics.load(models.path("arm"))
-    recorded = demo.simulate(robot, 20, 360.0)
+    recorded = demo.simulate(robot, 20, 120.0)
     found = demo.estimate(robot, recorded.measurements, 20)
     away = circular_error(recorded.angles, found.mean)
     covered = (away >= found.lower - found.mean) & (away <= found.upper - found.mean)
-    # Shoulder and elbow err as tilts do, of which 360 s have 180 independent ones; the mean is over four joints.
-    error = np.sqrt(0.95 * 0.05 / 180) / 2
+    # Shoulder and elbow err as tilts do, of which 120 s have 60 independent ones; the mean is over four joints.
+    error = np.sqrt(0.95 * 0.05 / 60) / 2
     assert abs(covered.mean() - 0.95) < 3 * error, covered.mean()
     naive = circular_error(recorded.angles, np.asarray(recorded.measurements.encoders.value, float))
     mine, other = (np.sqrt(np.mean(x**2, axis=0)) for x in (away, naive))

@@ -183,6 +183,7 @@ def test_gradients_in_state_and_in_every_leaf(x64):
     assert {"joint_axis", "gravity", "friction_loss", "spring_reference", "[1]", "[2]", "[3]", "[4]"} <= moved
 
 
+@pytest.mark.slow
 def test_second_derivatives_of_forward_dynamics(x64):
     robot = kinematics.load(models.chain(3))
     q, v, tau = np.random.default_rng(0).normal(size=(3, 3))

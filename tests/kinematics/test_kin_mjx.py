@@ -69,6 +69,7 @@ def test_a_robot_without_inertias_has_no_dynamics_here_either():
 ACCELEROMETER = '<sensor><accelerometer name="felt" site="imu3"/><gyro name="turn" site="imu3"/></sensor></mujoco>'
 
 
+@pytest.mark.slow
 def test_rollout_follows_c_and_its_gradient_finite_differences(x64):
     text = models.path("arm").read_text().replace("</mujoco>", ACCELEROMETER)
     backend, model = mjx.build(text, constraints=False), compile_model(text)
