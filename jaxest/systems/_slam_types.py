@@ -16,18 +16,18 @@ class Params(NamedTuple):
 
     noise: ArrayLike = 0.01 / 2.7
     """() standard deviation of a range, by the range."""
-    floor: ArrayLike = 0.002
+    floor: ArrayLike = 0.001
     """() m, standard deviation of a distance to a plane however near: rows on one plane share its error, and are
     counted for less instead."""
     uneven: ArrayLike = 0.002
     """() m, standard deviation of a voxel's point however often it was read."""
     lasting: ArrayLike = 5e-5
     """() m, of the distance to a plane that is the same in every scan, without noise."""
-    share: ArrayLike = 2.5
+    share: ArrayLike = 2.0
     """() 1/m, the same by the variance of a reading: noise that does not average out is of second order."""
     fresh: ArrayLike = 15.0
     """() by how much more a distance's variance is, for a plane of voxels that were read once each."""
-    rough: ArrayLike = 30.0
+    rough: ArrayLike = 15.0
     """() by how much a distance's variance is more than that, by the readings' where voxels were read once: such planes
     lie askew."""
     tilt: ArrayLike = 0.0
