@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.io import columns, plausible, units
+from jaxest.io import plausible, units
 from jaxest.io.columns import Column
 from jaxest.io.proposal_streams import Found
 from jaxest.io.raw import Raw
+from jaxest.io.table_streams import rate_of
 from jaxest.io.words import Word
 
 
@@ -149,8 +150,8 @@ def _largest(value: NDArray[Any]) -> float:
 
 def _seconds(raw: Raw, column: Column, n: int) -> NDArray[np.float64]:
     if column.time is None:
-        return np.arange(n) / (columns.rate_of(raw, column.rate, raw.source) if column.rate is not None else 100.0)
-    return columns.seconds(_stamps(raw, column), column.time_unit or "s")
+        return np.arange(n) / (rate_of(raw, column.rate, raw.source) if column.rate is not None else 100.0)
+    return units.seconds(_stamps(raw, column), column.time_unit or "s")
 
 
 def _stamps(raw: Raw, column: Column) -> NDArray[Any]:
