@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from jaxest.files import PathLike, existing
 from jaxest.io.bag_decode import NS, Bag, Group, Topic, collect
 from jaxest.io.bag_messages import TYPES
-from jaxest.io.bag_scan import Channel, Channels, indexed, scan
+from jaxest.io.bag_records import Channel, Channels
+from jaxest.io.bag_scan import indexed, scan
 from jaxest.io.extras import need
 from jaxest.io.growth import refuse_excess
 from jaxest.io.log import SensorLog, Stream, check
