@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from jaxest.io.bag_layout import Definitions, Layout, layout, matching, values
 from jaxest.io.bag_messages import TYPES, names_of
-from jaxest.io.bag_scan import Channel, Channels, Messages
+from jaxest.io.bag_records import Channel, Channels, Messages
 from jaxest.io.extras import need
 from jaxest.types import InputError
 

@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from jaxest.files import PathLike, existing
 from jaxest.io.bag_decode import NS, Bag, Group, Topic, collect
 from jaxest.io.bag_messages import TYPES
-from jaxest.io.bag_scan import Channel, Channels, indexed, scan
-from jaxest.io.columns import seconds
+from jaxest.io.bag_records import Channel, Channels
+from jaxest.io.bag_scan import indexed, scan
 from jaxest.io.extras import need
 from jaxest.io.growth import refuse_excess
 from jaxest.io.log import SensorLog, Stream, check
 from jaxest.io.raw import Raw
+from jaxest.io.units import seconds
 from jaxest.types import InputError, unknown_name
 
 Clock = Literal["header", "bag"]

@@ -6,12 +6,12 @@ from typing import Any, NamedTuple
 
 from jaxest.files import PathLike, existing
 from jaxest.io import bags, csv, hdf5, lerobot, mcap, npz, parquet, proposal, tum
-from jaxest.io import columns as table_module
 from jaxest.io.bags import arrays_of
-from jaxest.io.columns import ColumnTable
+from jaxest.io.columns import ColumnTable, parse
 from jaxest.io.log import SensorLog, check
 from jaxest.io.proposal import Proposal
 from jaxest.io.raw import Raw
+from jaxest.io.table_streams import apply
 from jaxest.io.table_text import to_toml
 from jaxest.types import InputError
 
@@ -117,7 +117,7 @@ def read(path: PathLike, columns: ColumnTable | Mapping[str, Any] | None = None)
     raw, own = _format(path).load(path)
     table = _table(path, columns)
     if table is not None and (own is None or _speaks_of(table, raw)):
-        return check(table_module.apply(raw, table))
+        return check(apply(raw, table))
     if own is not None:
         return own()
     guess = proposal.guess(raw)
@@ -126,14 +126,14 @@ def read(path: PathLike, columns: ColumnTable | Mapping[str, Any] | None = None)
             f"{path}: not in jaxest's own layout, and its names leave something open: {'; '.join(guess.unsure)}\n"
             f"Put the right lines into a config:\n{to_toml(guess)}"
         )
-    log = table_module.apply(raw, guess.table)
+    log = apply(raw, guess.table)
     return check(log._replace(notes=guess.assumed))
 
 
 def _table(path: PathLike, columns: ColumnTable | Mapping[str, Any] | None) -> ColumnTable | None:
     if columns is None or isinstance(columns, ColumnTable):
         return columns
-    return table_module.parse(columns, f"{path}: columns")
+    return parse(columns, f"{path}: columns")
 
 
 def _speaks_of(table: ColumnTable, raw: Raw) -> bool:

@@ -137,6 +137,36 @@ def convert(value: NDArray[Any], unit: Unit) -> NDArray[Any]:
     return (value.astype(np.float64) * unit.factor + unit.offset).astype(dtype)
 
 
+def seconds(stamps: NDArray[Any], unit: str) -> NDArray[np.float64]:
+    """Convert stamps to float64 seconds.
+
+    Integers are split into whole seconds and rest, as nanoseconds since 1970 do not fit in a float64.
+
+    Args:
+        stamps: (n,) numbers or datetime64.
+        unit: unit of time that numbers are in.
+
+    Returns:
+        (n,) s.
+
+    Raises:
+        InputError: not a unit of time, or not numbers.
+    """
+    entry = lookup(unit)
+    if entry.si != "s":
+        raise InputError(f"{unit!r} is no unit of time; expected s, ms, us or ns")
+    if stamps.dtype.kind == "M":
+        known, whole = ~np.isnat(stamps), seconds(stamps.astype("datetime64[ns]").astype(np.int64), "ns")
+        return np.where(known, whole, np.nan)
+    if stamps.dtype.kind in "iu" and entry.factor < 1:
+        per_second = round(1 / entry.factor)
+        whole, rest = np.divmod(stamps, per_second)
+        return whole.astype(np.float64) + rest.astype(np.float64) / per_second
+    if stamps.dtype.kind not in "iuf":
+        raise InputError(f"stamps are of dtype {stamps.dtype}, expected numbers")
+    return stamps.astype(np.float64) * entry.factor
+
+
 def default_unit(name: str) -> str:
     """Return the SI unit that a stream of this name is in where nobody says, or nothing where the name is unknown."""
     kind = KINDS.get(kind_of(name))

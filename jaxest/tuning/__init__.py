@@ -27,9 +27,10 @@ from jaxest.tuning.objectives import (
     supervised,
     total,
 )
-from jaxest.tuning.optimise import Problem, Result, Search, begin, disperse, minimise, value_and_gradient
+from jaxest.tuning.optimise import Result, Search, begin, disperse, minimise
 from jaxest.tuning.parameters import Space, paths, space
 from jaxest.tuning.particles import fading, relaxed
+from jaxest.tuning.problem import Problem, value_and_gradient
 from jaxest.tuning.recordings import Recording, Windows, padded, recording, sample_windows, take
 from jaxest.tuning.report import Curvature, Estimate, curvature, estimates
 from jaxest.tuning.warm import warm_start

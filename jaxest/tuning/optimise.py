@@ -16,25 +16,11 @@ from numpy.typing import NDArray
 from jaxest.parallel import everywhere, gather, shards
 from jaxest.tuning import descent
 from jaxest.tuning.descent import Method, lbfgs
-from jaxest.tuning.objectives import Objective, batched, per_recording, total
+from jaxest.tuning.objectives import batched, total
 from jaxest.tuning.parameters import Space
-from jaxest.tuning.recordings import Recording, Windows, sample_windows
+from jaxest.tuning.problem import Problem, value_and_gradient
+from jaxest.tuning.recordings import Recording, sample_windows
 from jaxest.types import Array, PyTree
-
-
-class Problem(NamedTuple):
-    """What is tuned; static, hashed by identity. Build it once, it compiles once."""
-
-    objective: Objective
-    space: Space
-    forward: bool | None = None
-    """Whether gradients go forward, which takes no memory and costs a run per free number; if None, where there are at
-    most `FORWARD` of them and nothing is drawn."""
-    windows: Windows | None = None
-    """Mini-batches; None for whole recordings."""
-
-
-FORWARD = 6
 
 
 class Search(NamedTuple):
@@ -80,34 +66,6 @@ class Result(NamedTuple):
     search: Search
     stopped: str
     """Why it ended: `converged`, `held out` (no improvement there) or `evaluations`."""
-
-
-def value_and_gradient(problem: Problem, z: Array, batch: Recording, key: Array | None = None) -> tuple[Array, Array]:
-    """Return the mean loss () of a batch at a point (n,), and its gradient (n,)."""
-    if not goes_forward(problem):
-
-        def one(recording: Recording, key: Array | None) -> tuple[Array, Array]:
-            return jax.value_and_grad(partial(loss_at, problem))(z, recording, key)
-
-        values, gradients = per_recording(problem.objective, one, batch, key)
-        return jnp.mean(values), jnp.mean(gradients, axis=0)
-
-    def loss(z: Array) -> Array:
-        return total(problem.objective, problem.space.unpack(z), batch, key)
-
-    push = jax.vmap(lambda v: jax.jvp(loss, (z,), (v,)), out_axes=(None, 0))
-    return push(jnp.eye(z.shape[0], dtype=z.dtype))
-
-
-def loss_at(problem: Problem, z: Array, one: Recording, key: Array | None = None) -> Array:
-    """Return the loss () of one recording at a point (n,)."""
-    return problem.objective.loss(problem.space.unpack(z), one, key)
-
-
-def goes_forward(problem: Problem) -> bool:
-    """Whether gradients go forward."""
-    few = problem.space.size <= FORWARD and not problem.objective.random
-    return few if problem.forward is None else problem.forward
 
 
 def begin(problem: Problem, method: Method, points: Array) -> Search:
@@ -291,14 +249,4 @@ def _best(values: NDArray[Any]) -> float:
     return float(finite.min()) if finite.size else float("nan")
 
 
-__all__ = [
-    "Problem",
-    "Result",
-    "Search",
-    "Trace",
-    "advance",
-    "begin",
-    "disperse",
-    "minimise",
-    "value_and_gradient",
-]
+__all__ = ["Result", "Search", "Trace", "advance", "begin", "disperse", "minimise"]

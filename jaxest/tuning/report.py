@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.tuning.objectives import batched, per_recording
-from jaxest.tuning.optimise import Problem, goes_forward, loss_at
+from jaxest.tuning.problem import Problem, goes_forward, loss_at
 from jaxest.tuning.recordings import Recording
 from jaxest.types import Array
 

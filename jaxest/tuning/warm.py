@@ -10,7 +10,8 @@ import numpy as np
 
 from jaxest.tuning.descent import PROBE, Method, lbfgs, unseen
 from jaxest.tuning.objectives import batched, total
-from jaxest.tuning.optimise import Problem, Result, minimise
+from jaxest.tuning.optimise import Result, minimise
+from jaxest.tuning.problem import Problem
 from jaxest.tuning.recordings import Recording, Windows, sample_windows
 from jaxest.types import Array
 

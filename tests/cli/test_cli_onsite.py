@@ -184,8 +184,8 @@ def test_the_recorded_rod(invoke, shared, tmp_path):
     """Through a [columns] table, all defaults: 6 mm and 1.8 deg."""
     file = shared / "recordings" / "two_imus_200mm" / "twoimus_200mm_sample.npz"
     config = json.loads(invoke("inspect", file, "--json").stdout)["config"]
-    config = config.replace('second = "imu1"\n', 'second = "imu1"\nposition = [-0.2, 0, 0]\n')
-    (tmp_path / "c.toml").write_text(config)
+    known = "position = [-0.2, 0, 0]\nquaternion = [1, 0, 0, 0]\n"
+    (tmp_path / "c.toml").write_text(config.replace('second = "imu1"\n', 'second = "imu1"\n' + known))
     result = invoke("estimate", file, "-m", "onsite", "-c", "c.toml", "-o", "out", "--json")
     assert result.exit_code == 0, result.output
     rows = {(r["metric"], r["condition"]): r["value"] for r in json.loads(result.stdout)["rows"]}

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from jaxest.io import Column, ColumnTable, read, to_toml
-from jaxest.io.columns import apply, parse, seconds
+from jaxest.io.columns import parse
 from jaxest.io.raw import Raw
-from jaxest.io.units import UNITS, convert, lookup
+from jaxest.io.table_streams import apply
+from jaxest.io.units import UNITS, convert, lookup, seconds
 from jaxest.types import InputError
 
 N = 4

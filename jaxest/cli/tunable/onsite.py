@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxest.cli.methods import Request, onsite
+from jaxest.cli.methods import Request, onsite_pair
 from jaxest.cli.tunable import Source, Tunable, constrained, plain, refuse_goal
 from jaxest.io import to_si
 from jaxest.types import InputError
@@ -34,7 +34,7 @@ def prepare(sources: Sequence[Source], request: Request, goal: str, free: Mappin
     settings = request.settings
     if "modules" in settings:
         raise InputError("[onsite.modules]: a robot of modules is not tuned; name two of its IMUs: first, second")
-    found = [onsite.recorded(to_si(source.log), settings, request.nan)[2] for source in sources]
+    found = [onsite_pair.recorded(to_si(source.log), settings, request.nan)[2] for source in sources]
     steps = [float(np.median(np.diff(one.time))) for one in found]
     window = float(settings.get("window", np.median([s * one.half_width for s, one in zip(steps, found, strict=True)])))
     half_width = max(2, round(window / float(np.median(steps))))
