@@ -12,7 +12,7 @@ EXAMPLES = (
     "jaxest show out --robot arm.urdf -o arm.gif",
     "jaxest show out --robot arm.urdf --beside log.npz:encoders -o arm.gif",
     "jaxest show out --robot arm.urdf --beside log.csv:joint_position -c log.toml -o arm.gif",
-    "jaxest show out --robot arm.xml --map out/slam_map.ply -o arm.rrd",
+    "jaxest show out --robot arm.xml -o arm.rrd  # with out/slam_map.ply, if there is one",
 )
 LONGEST = 240  # pictures of a GIF
 
@@ -28,7 +28,9 @@ def run(
     config: Annotated[
         Path | None, typer.Option("--config", "-c", help="How the log of --beside is read: a TOML with [columns].")
     ] = None,
-    cloud: Annotated[Path | None, typer.Option("--map", help="Points of a map (PLY, PCD), for .rrd.")] = None,
+    cloud: Annotated[
+        Path | None, typer.Option("--map", help="Points of a map (PLY, PCD), for .rrd; else that of the folder.")
+    ] = None,
     frame: Annotated[
         list[str] | None, typer.Option(help="Frame whose 95 % ellipsoid is drawn, for .rrd; several times.")
     ] = None,
@@ -45,6 +47,7 @@ def run(
     import numpy as np
 
     from jaxest import io, kinematics
+    from jaxest.cli.methods.slam import MAP
     from jaxest.io.clouds import read_cloud
     from jaxest.io.report import Row, report, to_json
 
@@ -53,6 +56,8 @@ def run(
     model = kinematics.load(robot)
     source = estimate / "estimate.npz" if estimate.is_dir() else estimate
     log = io.read(source)
+    if cloud is None and (estimate / MAP).is_file():
+        cloud = estimate / MAP
     joints = _stream(log, "joints" if "joints" in log.streams else None)
     stamps = np.arange(joints.time[0], joints.time[-1] + 1e-9, 1 / rate)
     if out.suffix.lower() == ".gif":
@@ -93,11 +98,11 @@ def _stream(log: Any, name: str | None) -> Any:
 
 
 def configurations(robot: Any, log: Any, joints: Any, rows: Any) -> Any:
-    """Put joint angles, and orientations of ball and free joints, into the robot's coordinates; others stay at home.
+    """Put joint angles, and where ball and free joints are, into the robot's coordinates; others stay at home.
 
     Args:
         robot: the robot.
-        log: the estimate, for streams `NAME/orientation`.
+        log: the estimate, for streams `NAME/orientation` and `NAME/position` of joints, or of the free joints' bodies.
         joints: its stream of named angles.
         rows: (T,) which of its rows.
 
@@ -117,11 +122,16 @@ def configurations(robot: Any, log: Any, joints: Any, rows: Any) -> Any:
         value = joints.value[rows, column]
         at = robot.topology.joint_q[robot.joint_names.index(name)]
         q[:, at] = np.where(np.isfinite(value), value, q[:, at])
-    for j, name in enumerate(robot.joint_names):
-        kind, turned = robot.topology.joint_kind[j], log.streams.get(f"{name}/orientation")
-        if kind in ("ball", "free") and turned is not None and len(turned.value) == len(joints.value):
-            at = robot.topology.joint_q[j] + (3 if kind == "free" else 0)
-            q[:, at : at + 4] = turned.value[rows]
+    tree = robot.topology
+    for j, (name, kind) in enumerate(zip(robot.joint_names, tree.joint_kind, strict=True)):
+        if kind not in ("ball", "free"):
+            continue
+        at = tree.joint_q[j] + (3 if kind == "free" else 0)
+        names = (name, tree.body_names[tree.joint_body[j]]) if kind == "free" else (name,)
+        for which, place in (("orientation", slice(at, at + 4)), ("position", slice(at - 3, at))):
+            found = next((log.streams[f"{n}/{which}"] for n in names if f"{n}/{which}" in log.streams), None)
+            if found is not None and len(found.value) == len(joints.value) and (which, kind) != ("position", "ball"):
+                q[:, place] = found.value[rows]
     free = np.array(robot.topology.free)
     return np.asarray(jax.vmap(lambda x: kinematics.expand(robot, x))(q[:, free]), float)
 

@@ -84,6 +84,7 @@ def frames(
         ) from error
     data, other, option = mujoco.MjData(model), mujoco.MjData(model), mujoco.MjvOption()
     option.sitegroup[:] = 0
+    option.geomgroup[:] |= _hidden(model)
     camera = _camera(model, np.concatenate([q, *([] if beside is None else [beside])]))
     with renderer:
         for i, row in enumerate(q):
@@ -136,6 +137,14 @@ def _with_shapes(source: str) -> str:
         return source
     text = re.sub(r"^\s*<\?xml.*?\?>", "", text)  # MuJoCo takes no declared encoding with a string
     return text.replace("</robot>", '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco></robot>')
+
+
+def _hidden(model: Any) -> bool:
+    """Say whether all shapes of the robot are in groups that MuJoCo does not draw, such as that of collisions."""
+    import mujoco
+
+    drawn = mujoco.MjvOption().geomgroup[model.geom_group] != 0
+    return not np.any(drawn[model.geom_bodyid > 0])
 
 
 def _camera(model: Any, q: NDArray[np.float64]) -> Any:

@@ -6,6 +6,7 @@ from typer.testing import CliRunner
 
 from jaxest import kinematics, models
 from jaxest.cli.app import app
+from jaxest.cli.show import configurations
 from jaxest.io import SensorLog, Stream, write
 from jaxest.types import InputError
 from jaxest.viz import animation, recording
@@ -50,6 +51,17 @@ def test_a_robot_without_shapes_is_drawn_as_sticks():
     (picture,) = rendered(text, np.zeros((1, 2)), None, SIZE)
     assert np.ptp(picture.astype(int), axis=(0, 1)).max() > 40
     assert picture[0, 0].min() > 200  # a bright sky
+
+
+def test_shapes_that_are_all_for_collisions_are_drawn():
+    """MuJoCo does not draw their group; a robot that has nothing else would be an empty picture."""
+    text = """<mujoco><worldbody><body><joint axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .3 0 0" size=".05"
+    group="3"/>EYE</body></worldbody></mujoco>"""
+    eye = '<geom type="box" size=".02 .02 .02" pos="0 0 .2"/>'
+    alone, hidden = (rendered(text.replace("EYE", x), np.zeros((1, 1)), None, SIZE)[0] for x in ("", eye))
+    far = [np.abs(picture.astype(int) - picture[0, 0]).max(axis=2) > 40 for picture in (alone, hidden)]
+    assert far[0].mean() > 0.02
+    assert 0 < far[1].mean() < far[0].mean()
 
 
 def test_visual_shapes_of_a_urdf_are_drawn():
@@ -108,6 +120,19 @@ def test_show_renders_an_estimate(estimated):
     assert result.exit_code == 0, result.output
     with Image.open(estimated / "a.png") as picture:
         assert picture.size == (480, 360)
+
+
+def test_a_free_root_is_where_its_body_was_found():
+    robot = kinematics.load(
+        '<mujoco><worldbody><body name="rover"><freejoint name="root"/><geom size=".1"/><body name="arm">'
+        '<joint name="turn"/><geom size=".1"/></body></body></worldbody></mujoco>'
+    )
+    time, turned = np.arange(3) / 10, np.tile([0.8, 0, 0, 0.6], (3, 1))
+    joints = Stream(time, np.full((3, 1), 0.2), "rad", names=("turn",))
+    place = Stream(time, np.array([[1.0, 2, 3], [2, 3, 4], [4, 5, 6]]), "m")
+    log = SensorLog({"joints": joints, "rover/position": place, "rover/orientation": Stream(time, turned, "1")})
+    found = configurations(robot, log, joints, np.array([0, 2]))
+    np.testing.assert_allclose(found, [[1, 2, 3, 0.8, 0, 0, 0.6, 0.2], [4, 5, 6, 0.8, 0, 0, 0.6, 0.2]])
 
 
 @pytest.mark.parametrize(

@@ -67,6 +67,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
     from jaxest import kinematics
     from jaxest.filters import run
+    from jaxest.kinematics.robot import SLIDE
     from jaxest.sensors.proximity import rays
 
     if request.robot is None:
@@ -91,7 +92,9 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     def draw(path: Path, title: str) -> None:
         from jaxest.viz import surroundings
 
-        surroundings.draw(path, chart, info.position[-1], robot.topology.body_parent, title=title)
+        slides = np.array([robot.topology.joint_kind[robot.joint_names.index(name)] == SLIDE for name in names])
+        biases = surroundings.Biases(time, info.bias, info.bias_deviation, slides)
+        surroundings.draw(path, chart, info.position[-1], robot.topology.body_parent, biases, title=title)
 
     stands = ("free" + (", driven by an IMU" if imu else "")) if free else "fixed"
     notes = [f"{len(placed)} sensors, {rays(placed)} zones; the root is {stands}"]
