@@ -1,6 +1,11 @@
 """The pieces of Iwao 2025's table and figures, in small, and their figures of merit on made-up runs."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 
 import jax
 import numpy as np
@@ -10,6 +15,17 @@ from jaxest import reproduce
 from jaxest.reproduce.iwao2025 import runs, table
 from jaxest.reproduce.iwao2025.conditions import chosen, condition
 from jaxest.types import InputError
+
+WORKERS = """
+import multiprocessing, os, time
+from concurrent.futures import ProcessPoolExecutor
+from jaxest.reproduce.iwao2025.table import _as_worker
+if __name__ == "__main__":
+    pool = ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn"), initializer=_as_worker)
+    started = [pool.submit(os.getpid), pool.submit(time.sleep, 0.5), pool.submit(os.getpid)]
+    print(*{started[0].result(), started[2].result()}, flush=True)
+    pool.submit(time.sleep, 60).result()
+"""
 
 
 @pytest.fixture(scope="module")
@@ -66,3 +82,29 @@ def test_turns_are_those_of_the_world():
     before = np.array([[[np.sqrt(0.5), np.sqrt(0.5), 0, 0]]])
     both = np.asarray(jax.vmap(jax.vmap(runs.quaternion.compose))(turned, before))
     np.testing.assert_allclose(runs._turned(both, before)[0, 0], [0, 0, angle], atol=1e-6)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kill -9 is POSIX")
+def test_workers_end_with_a_parent_that_was_killed(tmp_path):
+    (tmp_path / "parent.py").write_text(WORKERS)
+    parent = subprocess.Popen([sys.executable, str(tmp_path / "parent.py")], stdout=subprocess.PIPE, text=True)
+    workers = [int(number) for number in parent.stdout.readline().split()]
+    assert workers
+    parent.send_signal(signal.SIGKILL)
+    parent.wait()
+    parent.stdout.close()  # its workers hold the other end
+    until = time.monotonic() + 30
+    while any(alive(worker) for worker in workers) and time.monotonic() < until:
+        time.sleep(0.1)
+    left = [worker for worker in workers if alive(worker)]
+    for worker in left:
+        os.kill(worker, signal.SIGKILL)
+    assert not left
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import threading
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -56,7 +57,7 @@ def gathered(
     else:
         # XLA's threads do not survive a fork.
         spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(workers, mp_context=spawn, initializer=_on_one_core) as pool:
+        with ProcessPoolExecutor(workers, mp_context=spawn, initializer=_as_worker) as pool:
             waiting = {pool.submit(runs.result, *job): job for job in jobs}
             for done, future in enumerate(as_completed(waiting)):
                 name, _, plan, _ = waiting[future]
@@ -65,9 +66,21 @@ def gathered(
     return {name: [found[name, plan.seed] for plan in plans] for name in names}
 
 
-def _on_one_core() -> None:
-    """Give a worker's kernels one thread: with one for each core, those of several workers wait for each other."""
+def _as_worker() -> None:
+    """Give a worker's kernels one thread, and end it with the process that started it.
+
+    With a thread for each core, kernels of several workers wait for each other. A worker whose parent was killed would
+    go on with its run, and then wait for the next one for ever.
+    """
     os.environ.setdefault("NPROC", "1")
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _said(result: dict[str, Any]) -> str:
