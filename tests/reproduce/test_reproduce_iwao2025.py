@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -107,4 +108,6 @@ def alive(pid):
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
-    return True
+    # One that has ended stays in the table until somebody asks for its exit status.
+    told = Path(f"/proc/{pid}/stat")
+    return not (told.is_file() and told.read_text().rpartition(")")[2].split()[0] == "Z")
