@@ -124,13 +124,17 @@ def configurations(robot: Any, log: Any, joints: Any, rows: Any) -> Any:
         q[:, at] = np.where(np.isfinite(value), value, q[:, at])
     tree = robot.topology
     for j, (name, kind) in enumerate(zip(robot.joint_names, tree.joint_kind, strict=True)):
-        if kind not in ("ball", "free"):
+        at = tree.joint_q[j]
+        if kind == "ball":
+            names, parts = [name], {"orientation": slice(at, at + 4)}
+        elif kind == "free":
+            names = [name, tree.body_names[tree.joint_body[j]]]
+            parts = {"position": slice(at, at + 3), "orientation": slice(at + 3, at + 7)}
+        else:
             continue
-        at = tree.joint_q[j] + (3 if kind == "free" else 0)
-        names = (name, tree.body_names[tree.joint_body[j]]) if kind == "free" else (name,)
-        for which, place in (("orientation", slice(at, at + 4)), ("position", slice(at - 3, at))):
-            found = next((log.streams[f"{n}/{which}"] for n in names if f"{n}/{which}" in log.streams), None)
-            if found is not None and len(found.value) == len(joints.value) and (which, kind) != ("position", "ball"):
+        for part, place in parts.items():
+            found = next((log.streams[key] for key in (f"{n}/{part}" for n in names) if key in log.streams), None)
+            if found is not None and len(found.value) == len(joints.value):
                 q[:, place] = found.value[rows]
     free = np.array(robot.topology.free)
     return np.asarray(jax.vmap(lambda x: kinematics.expand(robot, x))(q[:, free]), float)
