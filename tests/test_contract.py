@@ -60,15 +60,15 @@ SIX = ("gyroscope", "accelerometer")
 ROWS = [
     Row("orientation_6", partial(orientation.build, None, SIX)),
     Row("orientation_9", orientation.build),
-    Row("orientation_projection", partial(orientation.build, None, SIX, update=complementary.projection)),
+    Row("orientation_projection", partial(orientation.build, None, SIX, update=complementary.projection), slow=True),
     Row("orientation_covariance", partial(orientation.build, covariance=True), {"shaking": 1.0}),
     Row("attitude_ekf", partial(orientation.build, filter=attitude.ekf)),
-    Row("attitude_decoupled", partial(orientation.build, filter=attitude.decoupled)),
+    Row("attitude_decoupled", partial(orientation.build, filter=attitude.decoupled), slow=True),
     # Its descent is a gradient of length 1: where the gradient is small, rounding turns it.
     Row("attitude_madgwick", partial(orientation.build, filter=attitude.madgwick), factor=1024.0),
     Row("pair", pairs),
     Row("posture", fused),
-    Row("posture_pairs", paired),
+    Row("posture_pairs", paired, slow=True),
     Row("kalman", kalman_body),
     Row("torque", pendulum, differentiable=False),  # its gradient compiles for a minute: test_system_torque has one
     Row("savitzky_golay", window),
@@ -77,7 +77,7 @@ ROWS = [
     Row("onsite", pose),
     Row("onsite_chain", chain, slow=True),
     Row("rls", position),
-    Row("rls_pseudo_inverse", partial(position, rls.pseudo_inverse)),
+    Row("rls_pseudo_inverse", partial(position, rls.pseudo_inverse), slow=True),
     Row(
         "kalman_iterated",
         partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0),

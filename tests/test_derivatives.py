@@ -61,7 +61,10 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", CASES)
+SLOW = ("forward, rover", "forward_dynamics")
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in CASES])
 def test_derivatives_of_a_compiled_batch_are_those_of_its_items(name, x64):
     function, shared, own = CASES[name]
     random = np.random.default_rng(0)

@@ -82,6 +82,7 @@ def test_logs(peers):
     assert all(row.value > 0 for row in memory)
 
 
+@pytest.mark.slow
 def test_live():
     within, *steps, lost, grown = bench.rows("live", small=True)
     assert 0 <= within.value <= 100

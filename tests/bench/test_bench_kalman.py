@@ -26,6 +26,7 @@ def test_kalman(peers):
     assert sum(row.ratio is not None for row in timed) == (5 if peers else 0)
 
 
+@pytest.mark.slow
 def test_the_loop_is_the_same_filter_and_smoother(x64):
     @partial(jax.jit, compiler_options=QUICK)
     def ours(noise, samples, start):

@@ -24,6 +24,7 @@ def test_torque():
     assert all(row.value > 0 for row in rows)
 
 
+@pytest.mark.slow
 def test_the_paper_sampler_of_the_torque_benchmark_draws_what_ours_draws(x64):
     """A peer that computes something else would be no peer: torques and variances given a path, many draws of each."""
     model = mujoco.MjModel.from_xml_string(models.chain(2))

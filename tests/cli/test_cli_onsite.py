@@ -72,6 +72,7 @@ def test_two_imus(invoke, rod, tmp_path):
     assert np.isnan(found["live/position"].value[0]).all()
 
 
+@pytest.mark.slow
 def test_forgetting_is_tuned_and_said_to_be_unknown_of_a_rigid_link(invoke, rod, tmp_path):
     write(streams(rod[0]), tmp_path / "log.npz")
     result = invoke("tune", "log.npz", "-m", "onsite", "--starts", 1, "-o", "tuned.toml", "--json")

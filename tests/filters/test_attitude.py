@@ -253,6 +253,7 @@ def smoothed(length, block):
     return jax.tree.map(np.asarray, attitude.smooth(params, attitude.ekf.init(params), rows, block=block))
 
 
+@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)], indirect=True)
 def test_the_smoother_beats_the_filter_and_ends_near_it(dtype):
     """At the end, with nothing behind, it knows what the filter knows; before, it is better and surer."""
     measurements, truth = drawn()

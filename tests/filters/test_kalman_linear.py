@@ -169,7 +169,7 @@ def test_a_known_start_and_no_noise_stay_exact(x64):
     np.testing.assert_allclose(np.trace(slope), (ahead[0] - ahead[1]) / (2 * h), rtol=1e-6)
 
 
-@pytest.mark.parametrize("which", ["filter", "smoother"])
+@pytest.mark.parametrize("which", ["filter", pytest.param("smoother", marks=pytest.mark.slow)])
 def test_gradient_of_the_evidence_in_the_noise(problem, which, x64):
     numbers, mean, cov, values, valid = problem
     state0, line = kalman.init(mean, cov), measured(values, valid)

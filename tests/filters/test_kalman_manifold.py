@@ -85,6 +85,7 @@ class Turn(NamedTuple):
 POINTS = np.array([[1.0, 0, 0.5], [0, 2.0, -0.5]])
 
 
+@pytest.mark.slow
 def test_smoother_on_rigid_motions(x64):
     """SE(3): the body moves by measured twists and sees points; every residual is on the group."""
     model = kalman.Model(
@@ -237,6 +238,7 @@ def test_gate_mask_and_status(x64):
     assert short.status == NOT_CONVERGED
 
 
+@pytest.mark.slow
 def test_given_jacobians_and_several_factors_are_the_same(x64):
     belief = jax.tree.map(jnp.asarray, BELIEF._replace(covariance=0.1 * np.eye(6)))
     factor = landmark_factor(landmark_values())

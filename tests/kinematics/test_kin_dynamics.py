@@ -76,7 +76,8 @@ CASES = [
     pytest.param(
         name,
         dtype,
-        marks=[pytest.mark.recorded] * (name in SHARED) + [pytest.mark.slow] * (name in ARMS and dtype == "float32"),
+        marks=[pytest.mark.recorded] * (name in SHARED)
+        + [pytest.mark.slow] * (name in (*ARMS, "bush") and dtype == "float32"),
     )
     for name in ["bush", *PACKAGED, *(n for n in SHARED if "hand" not in n)]
     for dtype in ("float64", "float32")
@@ -225,6 +226,7 @@ def test_far_from_the_origin_no_digit_is_lost():
         np.testing.assert_array_equal(x, y)
 
 
+@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)], indirect=True)
 def test_batches_agree_and_gradients_stay_finite(dtype):
     robot = kinematics.load(models.chain(5))
     q = np.random.default_rng(0).normal(size=(3, 5)).astype(dtype)

@@ -101,6 +101,7 @@ def start(warm, count=4):
     return chains.init(jax.random.key(6), states)
 
 
+@pytest.mark.slow
 def test_samplers_agree_from_dispersed_starts(warm):
     one, params = warm
     found = {}

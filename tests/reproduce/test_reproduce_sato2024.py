@@ -7,6 +7,7 @@ from jaxest import reproduce
 from jaxest.reproduce.sato2024 import frequency, reach, rod
 
 
+@pytest.mark.slow
 def test_the_filter_loses_3_db_where_the_paper_finds_it():
     rows = reproduce.parts("sato2024")["fig9"](reproduce.Choice(), lambda message: None).rows
     found = {row.condition: row.value for row in rows}

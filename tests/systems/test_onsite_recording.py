@@ -42,6 +42,7 @@ def test_a_late_clock_and_lost_samples(rod):
     assert np.linalg.norm(quat.local(found.estimate.quaternion, truth.quaternion)) < 2e-3
 
 
+@pytest.mark.slow
 def test_doubt_of_the_clock_belongs_to_the_covariance(rod):
     a, p, _ = rod
     time, m = pair(a, p)

@@ -55,6 +55,7 @@ def test_both_proposals_find_the_same_posterior():
     assert share[0] > 20 * share[1]  # the walk jumps by 0.45 rad here; on a slow arm, below, guided keeps 0.9
 
 
+@pytest.mark.slow
 def test_a_bent_arm_is_known_better_with_imus():
     """The sag of the pitch joints: reference angles alone miss it, IMUs on links 2 and 3 find it."""
     draw = partial(bending.simulate, arm(), SENSORS, motion=leaning, duration=1.0, rate_hz=20.0)
@@ -95,6 +96,7 @@ def test_the_prior_of_stiffness_takes_out_the_sag():
     assert np.abs(np.asarray(truth.angles - truth.reference))[:, 1].max() > 0.05
 
 
+@pytest.mark.slow
 def test_gaussian_noise_gives_much_the_same():
     draw = partial(bending.simulate, arm(), FEW, duration=0.5, rate_hz=20.0)
     measurements, _ = jax.jit(lambda key: draw(key=key), compiler_options=QUICK)(jax.random.key(0))

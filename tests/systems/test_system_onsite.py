@@ -69,6 +69,7 @@ def test_the_simulation_is_a_rigid_body(x64):
     np.testing.assert_allclose(np.gradient(force, 1e-3, axis=0)[2:-2], -np.cross(rate, force)[2:-2], atol=2e-3)
 
 
+@pytest.mark.slow
 def test_live_in_ten_seconds():
     measurements, truth = draw(20, steps=1000)
     found = live(measurements)

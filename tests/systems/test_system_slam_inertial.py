@@ -109,6 +109,7 @@ def rolled(system, rate):
     return given, turned[::10]
 
 
+@pytest.mark.slow
 def test_a_roll_that_is_lost_without_an_imu_is_followed_with_it(system):
     """1.5 rad a step, from rest; where samples are missing SLAM goes on alone, and says so of what is not finite."""
     given, turned = rolled(system, 15.0)

@@ -93,6 +93,7 @@ def test_turns_are_found_within_their_covariances(outcomes):
     assert 0.4 < np.mean(shares) < 2
 
 
+@pytest.mark.slow
 def test_the_map_is_thinner_than_with_turns_taken_for_noise(outcomes, scenes):
     system, params, go = driven(False)
     ours, theirs = [], []

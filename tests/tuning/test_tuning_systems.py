@@ -65,6 +65,7 @@ def test_evidence_of_angles_is_that_of_one_large_normal(walks, x64):
     np.testing.assert_allclose(found, expected, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_noise_of_torques_is_found_again_where_the_angles_tell_it(x64):
     """Position and sensor noise within three standard errors; that of the speeds, too small to be seen, is said to be
     unidentified."""
