@@ -123,9 +123,10 @@ def _added(chart: VoxelMap, rows: Array, new: Array, about: Array, most: float =
     found = total[at]
     count = found[:, COUNT, None]
     mean = found[:, :COUNT] / jnp.where(count > 0, count, 1)
-    found = found.at[:, MOMENT:CARRIED].add(-count * squares(mean - about))
-    found = jnp.where(count > 2 * most, 0.5, 1.0).astype(found.dtype) * found
-    total = total.at[rows].set(found, mode="drop")
+    share = jnp.where(count > 2 * most, 0.5, 1.0).astype(found.dtype)
+    total = total.at[rows].set(share * found, mode="drop")
+    central = share * (found[:, MOMENT:CARRIED] - count * squares(mean - about))
+    total = total.at[rows, MOMENT:CARRIED].set(central, mode="drop")
     return chart._replace(total=total, point=chart.point.at[rows].set(mean, mode="drop"))
 
 
@@ -151,7 +152,7 @@ def likeliest(layout: Layout, chart: VoxelMap, point: Array, ray: Array, scatter
     slot = layout.slot(cells(layout, (x, y, z)))
     row = jnp.where(slot < layout.slots, chart.table[jnp.minimum(slot, layout.slots - 1)], FREE)
     read = jnp.where(row >= 0, chart.total[jnp.maximum(row, 0), 3], 0)
-    score = jnp.log(jnp.maximum(read, 0.5)) - steps[..., 0] ** 2 / 2
+    score = jnp.maximum(read, 0.5) * jnp.exp(-(steps[..., 0] ** 2) / 2)
     best = jnp.argmax(score, axis=0)
     return jnp.take_along_axis(along, best[None, :, None], axis=0)[0]
 

@@ -234,7 +234,7 @@ def register(
             width = None
         else:  # What was matched with a wide gate is matched once more with the narrow one.
             more, width = more | ((count == 1) & jnp.any(slack > 0)), jnp.where(count == 0, slack, 0)
-        needed = jnp.where(trial, unknown, (count == 0) | more)
+        needed = jnp.where(trial, unknown & (part < parts), (count == 0) | more)
         new = jax.lax.cond(needed, lambda: once(covariance, start, jnp.where(trial, part, turn), width), lambda: fit)
         total = jnp.where(part == 0, 0, total) + new.misfit
         # Of starts that fit alike the first counts: what is left of a sum's rounding must not choose.
@@ -243,14 +243,16 @@ def register(
         worked = needed & ~trial
         return (new, jnp.where(worked, start, last), found, count + worked.astype(jnp.int32)), None
 
-    # Trials and iterations are one scan, so that their program is there once.
+    def block(state: Any, rows: tuple[Array, Array, Array]) -> tuple[Any, None]:
+        trial = rows[2][0]
+        return jax.lax.cond(unknown | ~trial, lambda: jax.lax.scan(again, state, rows)[0], lambda: state), None
+
+    # Trials and iterations are one scan, so that their program is there once; trials are left out by whole blocks.
     zero, none = jnp.zeros(len(covariance), covariance.dtype), jnp.int32(0)
     nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(once, covariance, zero, turn, slack).sums)
     first = (Fit(zero, covariance, nothing, zero[0], zero[0], zero[0]), zero, (zero[0] + jnp.inf, zero, zero[0]), none)
-    offsets = jnp.asarray(np.concatenate([np.repeat(TRIALS, parts), np.zeros(config.rounds)]), zero.dtype)
-    trial = np.arange(len(offsets)) < len(TRIALS) * parts
-    rows = (offsets, jnp.asarray(np.arange(len(offsets)) % parts), jnp.asarray(trial))
-    (fit, last, _, count), _ = jax.lax.scan(again, first, rows)
+    rows = jax.tree.map(lambda x: jnp.asarray(x).reshape(-1, config.rounds), _plan(parts, config.rounds, zero.dtype))
+    (fit, last, _, count), _ = jax.lax.scan(block, first, rows)
     lost = jnp.bool_(False)
     if free:
         fit, last, lost = _found_again(config, params, carry, fit, last, leads, usual, once, turn)
@@ -259,6 +261,18 @@ def register(
     right = (told.inliers >= config.least) & ~lost & ~amiss(config, told)
     found = None if turned is None else (fit.sums.aims, fit.correction - last, fit.covariance, right)
     return rebased(body, _arrived(body, carry, fit)), seen, found
+
+
+def _plan(parts: int, rounds: int, dtype: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return rows of trials, filled up to a multiple of `rounds` with some of no part, and then of `rounds` iterations.
+
+    Returns:
+        Offset of a trial in deviations, its part of the zones (`parts` where it is none), and whether it is a trial.
+    """
+    spare = -len(TRIALS) * parts % rounds
+    offset = np.concatenate([np.repeat(TRIALS, parts), np.zeros(spare + rounds)]).astype(dtype)
+    part = np.concatenate([np.tile(np.arange(parts), len(TRIALS)), np.full(spare, parts), np.zeros(rounds, int)])
+    return offset, part, np.arange(len(offset)) < len(offset) - rounds
 
 
 def _arrived(body: Body, carry: Carry, fit: Fit) -> Carry:

@@ -99,11 +99,12 @@ def world(pose: Pose, local: Array) -> Array:
 
 def point_slope(pose: Pose, x: Array) -> Array:
     """Return the derivative (n, 3, D) of world points (n, 3) on a link by the state's tangent."""
-    arm = x - pose.position[None]
-    a, b, c = (arm[:, i, None] for i in range(3))
-    w = [pose.turn[i][None] for i in range(3)]
-    turned = (w[1] * c - w[2] * b, w[2] * a - w[0] * c, w[0] * b - w[1] * a)
-    return jnp.stack([t + pose.travel[i][None] for i, t in enumerate(turned)], axis=1)
+    arm, (u, v, w) = x - pose.position[None], pose.turn
+    none = jnp.zeros_like(u)
+    # Affine in the point, so one product of matrices; put together row by row, each number would choose among three.
+    parts = jnp.stack([none, w, -v, -w, none, u, v, -u, none, *pose.travel]).reshape(4, -1)
+    one = jnp.ones((len(x), 1), x.dtype)
+    return product(jnp.concatenate([arm, one], axis=1), parts).reshape(len(x), 3, len(u))
 
 
 def match(

@@ -1,5 +1,7 @@
 """What a map has beside a link's points: planes, how they move with the unknowns, how often they were read."""
 
+from functools import reduce
+from operator import add
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -58,7 +60,7 @@ def surface(
     planes = fit((px, py, pz), near.there, 1 / (uneven**2 + scatter[None] ** 2 / read), within)
     kept = jnp.where(near.there[..., None], carried(chart, near.row), 0)
     moved = kept[..., : 3 * count].reshape(*kept.shape[:2], 3, count)
-    across = jnp.sum(planes.normal[None, :, :, None] * moved, axis=2)
+    across = reduce(add, (planes.normal[None, :, i, None] * moved[:, :, i] for i in range(3)))
     own: Any = 0.0
     hazy: Any = 0.0
     if turned is not None:
