@@ -83,20 +83,30 @@ ROWS = [
         partial(kalman_body, iterations=40, tolerance=1e-11, loss=kalman.cauchy, gate=30.0),
         slow=True,  # its gradient compiles for half a minute
     ),
-    Row("slam", tiny, differentiable=False, factor=1e5),
+    Row("slam", partial(tiny, free=False), differentiable=False, factor=1e5),
+    Row("slam_free", tiny, differentiable=False, factor=1e5, slow=True),  # looks for its root in each of a batch
     Row("slam_chain", partial(tiny, system=slam_chain), differentiable=False, factor=1e5, slow=True),
     Row("slam_align", aligned, differentiable=False, factor=1e5, slow=True),
     Row("slam_inertial", shaken, differentiable=False, factor=1e5, slow=True),
     Row("particle_bootstrap", particle_arm, differentiable=False),
     Row("deflection_guided", partial(bent_arm, deflection.guided, FEW), differentiable=False),
-    Row("deflection_joints", hanging, differentiable=False),
+    Row("deflection_joints", hanging, differentiable=False, slow=True),
     Row(
         "particle_guided",
         partial(particle_arm, GUIDED, resampling.adaptive(resampling.stratified, 0.9)),
         differentiable=False,
     ),
 ]
-EAGERLY_SLOW = ("posture", "slam", "deflection_guided", "deflection_joints", "particle_guided")
+EAGERLY_SLOW = (
+    "kalman",
+    "posture",
+    "onsite",
+    "slam",
+    "slam_free",
+    "deflection_guided",
+    "deflection_joints",
+    "particle_guided",
+)
 """Their step is hundreds of small programs without `jit`, which take long to compile."""
 STEPS = 12
 BATCH = 8

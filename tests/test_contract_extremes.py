@@ -1,6 +1,6 @@
 """Any pattern of missing sensors, any finite values, any scale: no number of an estimate is lost without a status.
 
-`test_contract` asks this of 8 cases a row; here 128 cases a row and precision (28 rows, 2 precisions: 7168 cases of 12
+`test_contract` asks this of 8 cases a row; here 128 cases a row and precision (29 rows, 2 precisions: 7424 cases of 12
 steps), with values up to the largest that the precision holds.
 """
 

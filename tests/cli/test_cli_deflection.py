@@ -221,7 +221,7 @@ def test_the_first_config_of_robot_and_log_are_accepted(invoke, log, tmp_path):
         assert found[1].sensor.frames == ("site:imu2",)
 
 
-@pytest.mark.parametrize(("left", "right"), [("left_", "right_"), ("l/", "r/")])
+@pytest.mark.parametrize(("left", "right"), [pytest.param("left_", "right_", marks=pytest.mark.slow), ("l/", "r/")])
 def test_a_robot_of_two_arms_is_given_a_stream_for_each(invoke, tmp_path, left, right):
     def arm(side, at):
         return (

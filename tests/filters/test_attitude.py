@@ -217,7 +217,7 @@ def test_a_gap_grows_the_covariance_and_is_overcome(module):
     assert np.degrees(np.max(error.inclination[:, -1])) < 3
 
 
-@pytest.mark.parametrize("module", FILTERS, ids=NAMES)
+@pytest.mark.parametrize("module", [pytest.param(attitude.ekf, marks=pytest.mark.slow), attitude.decoupled], ids=NAMES)
 def test_units_of_the_field_and_masks(module):
     """Gauss or microtesla; a masked magnetometer is none; a broken value is reported and left out."""
     measurements, _ = drawn()

@@ -112,6 +112,7 @@ def test_the_first_joints_bias_stays_as_unknown_as_the_roots_sensors(outcomes):
         assert deviation[0] > 0.3 * TILT * 0.5
 
 
+@pytest.mark.slow
 def test_the_turns_of_sensors_that_are_as_believed_stay_none():
     system = slam.build(robot(), sensors(5, 5), align=True, **SIZES)
     params = system.default_params
