@@ -20,6 +20,10 @@ NON_FINITE = 1
 WEIGHTS_VANISHED = 2
 NOT_CONVERGED = 3
 OUT_OF_RANGE = 4
+LOST = 5
+UNSEEN = 6
+FULL = 7
+FOLLOWS = 8
 
 _MESSAGES = {
     OK: "ok",
@@ -27,6 +31,10 @@ _MESSAGES = {
     WEIGHTS_VANISHED: "all particle weights vanished; the weights were reset to uniform",
     NOT_CONVERGED: "the iteration stopped before it converged",
     OUT_OF_RANGE: "numbers outgrew the precision; the step was not taken",
+    LOST: "what the sensors see contradicts the map; the pose must not be relied on",
+    UNSEEN: "the link has no sensors; it follows its joints",
+    FULL: "the map is full; points found no room in it",
+    FOLLOWS: "too few points fit the map; the link keeps its prediction",
 }
 
 
@@ -34,8 +42,8 @@ def status_message(status: int) -> str:
     """Return what a `status` in an estimator's info means.
 
     Args:
-        status: code, one of `OK`, `NON_FINITE`, `WEIGHTS_VANISHED`, `NOT_CONVERGED`,
-            `OUT_OF_RANGE`.
+        status: code, one of `OK`, `NON_FINITE`, `WEIGHTS_VANISHED`, `NOT_CONVERGED`, `OUT_OF_RANGE`, and of whole-body
+            SLAM `LOST`, `UNSEEN`, `FULL` and `FOLLOWS`.
 
     Returns:
         One sentence in plain English.
@@ -137,10 +145,14 @@ class System(NamedTuple):
 
 
 __all__ = [
+    "FOLLOWS",
+    "FULL",
+    "LOST",
     "NON_FINITE",
     "NOT_CONVERGED",
     "OK",
     "OUT_OF_RANGE",
+    "UNSEEN",
     "WEIGHTS_VANISHED",
     "Array",
     "ArrayLike",

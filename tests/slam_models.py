@@ -56,7 +56,7 @@ def shaken():
     def simulate(params, *, key, steps):
         """Draw what `slam` does, and two samples of the IMU a step."""
         first, second = jax.random.split(key)
-        given, truth = system.simulate(params.inner, key=first, steps=steps)
+        given, truth = system.simulate(params, key=first, steps=steps)
         rotation = truth.rotation[:, 0]
         turned = jax.vmap(quaternion.from_matrix)(rotation)
         rate = jax.vmap(quaternion.local)(turned[:-1], turned[1:]) / given.dt[1:, None]

@@ -173,7 +173,14 @@ class _Tally:
         if status != OK:
             self.flagged += 1
             if self.flagged == 1:
-                self.say(f"step at {self.time:.6f} s: status {status} ({status_message(status)})")
+                self.say(f"step at {self.time:.6f} s: status {status}{_meaning(status)}")
+
+
+def _meaning(status: int) -> str:
+    """What a status means, in brackets; nothing where only its estimator knows."""
+    with contextlib.suppress(ValueError):
+        return f" ({status_message(status)})"
+    return ""
 
 
 def _loop(

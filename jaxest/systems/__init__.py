@@ -7,10 +7,12 @@ are all that is needed; `jaxest.filters.run` drives the step.
 * `deflection`: the posture of a robot that bends; `deflection_scatter` says whether its noise is right, `direct_fusion`
   is its baseline by hand.
 * `onsite`: the pose of one IMU relative to another on the same link, live; `onsite_batch` for a whole recording,
-  `onsite_chain` for a robot of modules and sticks, `onsite_drift` for tuning what it forgets.
+  `onsite_recording` for one of real IMUs, `onsite_chain` for a robot of modules and sticks, `onsite_drift` for tuning
+  what it forgets.
 * `slam`: where links are, and the room about them; `slam_inertial` with an IMU on a free root, `slam_chain` as the
   paper has it.
-* `torque`: unknown joint torques; their posterior by `torque_sampler`; `torque_evidence` for tuning noise.
+* `torque`: unknown joint torques; their posterior by `torque_sampler`, of a `torque_model` with `torque_settings`, as
+  `torque_posterior` collects it; `torque_evidence` for tuning noise.
 
 Each loads on first use. Not here: the filters themselves (`jaxest.filters`), logs and commands.
 """
@@ -26,6 +28,7 @@ __all__ = [
     "onsite_batch",
     "onsite_chain",
     "onsite_drift",
+    "onsite_recording",
     "orientation",
     "posture",
     "posture_pairs",
@@ -34,7 +37,10 @@ __all__ = [
     "slam_inertial",
     "torque",
     "torque_evidence",
+    "torque_model",
+    "torque_posterior",
     "torque_sampler",
+    "torque_settings",
 ]
 
 

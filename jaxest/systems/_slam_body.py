@@ -98,6 +98,13 @@ def body(robot: Robot, sensors: Sequence[Proximity]) -> Body:
     return Body(robot, root, joints, tuple(range(len(topology.body_names))), scanned, rays, total)
 
 
+def check_sizes(**sizes: int) -> None:
+    """Raise ValueError for a size below 1."""
+    for name, size in sizes.items():
+        if size < 1:
+            raise ValueError(f"{name}: got {size}, expected at least 1")
+
+
 def _rays(robot: Robot, sensors: Sequence[Proximity]) -> tuple[tuple[int, ...], Rays, int]:
     bodies = len(robot.topology.body_names)
     owners: list[int] = []
@@ -210,4 +217,6 @@ def links(body: Body, mean: Mean, reading: Array, which: Sequence[int]) -> Links
     return Links(frames.position, rotation, jacobian[:, :3], jacobian[:, 3:])
 
 
-__all__ = ["NV", "Body", "Links", "Mean", "Rays", "body", "home", "links", "manifold", "posture", "retract"]
+__all__ = [
+    "NV", "Body", "Links", "Mean", "Rays", "body", "check_sizes", "home", "links", "manifold", "posture", "retract",
+]  # fmt: skip

@@ -5,10 +5,7 @@ from typing import NamedTuple
 from jaxest.mapping import VoxelMap
 from jaxest.systems._slam_body import Mean
 from jaxest.systems._slam_tilt import Mounts
-from jaxest.types import Array, ArrayLike, Reading
-
-FOLLOWS, LOST, UNSEEN, FULL = 4, 5, 6, 7
-"""Status of a link: kept its prediction; its points contradict the map; has no sensors; and of a map that is full."""
+from jaxest.types import FOLLOWS, FULL, LOST, UNSEEN, Array, ArrayLike, Reading
 
 
 class Params(NamedTuple):

@@ -76,9 +76,7 @@ def build(
         InputError: there is no sensor, a frame does not exist, or a joint is none that is understood.
         ValueError: a size below 1.
     """
-    for name, value in (("capacity", capacity), ("points", points), ("rounds", rounds), ("least", least)):
-        if value < 1:
-            raise ValueError(f"{name}: got {value}, expected at least 1")
+    bodies.check_sizes(capacity=capacity, points=points, rounds=rounds, least=least)
     body = bodies.body(robot, sensors)
     config = Config(layout or Hashed(0.2), points, rounds, least, central)
     measurement = Fixed if body.root is None else Free
@@ -113,12 +111,14 @@ def init(body: Body, layout: Layout, capacity: int, align: bool, params: Params,
 
 def points_of(body: Body, ranges: Reading) -> Points:
     """Return what every link sees (L, Z, ...) of cleaned readings (R,); zones beyond their limits do not count."""
+    if ranges.value.shape != (body.readings,):
+        raise ValueError(f"measurement.ranges: got shape {ranges.value.shape}, expected ({body.readings},)")
     dtype = ranges.value.dtype
     rays = body.rays
     index = jnp.asarray(np.minimum(rays.index, body.readings - 1))
-    reach = ranges.value[index]
+    reach, there = ranges.value[index], jnp.broadcast_to(ranges.valid, (body.readings,))[index]
     low, high = jnp.asarray(rays.minimum, dtype), jnp.asarray(rays.maximum, dtype)
-    valid = jnp.asarray(rays.index < body.readings) & ranges.valid[index] & (reach >= low) & (reach <= high)
+    valid = jnp.asarray(rays.index < body.readings) & there & (reach >= low) & (reach <= high)
     reach = jnp.where(valid, reach, jnp.asarray(1.0, dtype))
     ray = jnp.asarray(rays.direction, dtype)
     return Points(jnp.asarray(rays.origin, dtype) + reach[..., None] * ray, ray, reach, valid)
@@ -145,7 +145,7 @@ def _step(
     scans = repeats(params, links, before, state.index)
     carry, seen = walk(body, config, params, start, reading, noise, points, scans, state.index, doubt, state.usual)
     info = _info(body, config, params, carry, seen, reading, noise, broken, state.chart)
-    pace = _pace(state.mean, carry.mean, measurement.dt) if body.root is not None else state.pace
+    pace = _pace(state, carry.mean, measurement.dt) if body.root is not None else state.pace
     usual, index = _usual(state, seen), state.index + 1
     after = State(carry.mean, carry.covariance, carry.chart, carry.reference, reading, pace, usual, carry.mounts, index)
     # The map keeps what it was given: it takes no point of a link that is not known well.
@@ -197,13 +197,14 @@ def _predict(body: Body, params: Params, state: State, measurement: Any) -> tupl
     return gone, covariance, doubt
 
 
-def _pace(before: Mean, after: Mean, dt: ArrayLike) -> Array:
-    """Return how fast (6,) m/s and rad/s the root went, in its own axes before."""
+def _pace(state: State, after: Mean, dt: ArrayLike) -> Array:
+    """Return how fast (6,) m/s and rad/s the root went, in its own axes before; as it was where no time went by."""
+    before = state.mean
     back = quaternion.inverse(before.quaternion)
     gone = quaternion.rotate(back, after.position - before.position)
     turned = quaternion.local(before.quaternion, after.quaternion)
     dt = jnp.asarray(dt, gone.dtype)
-    return jnp.where(dt > 0, jnp.concatenate([gone, turned]) / jnp.where(dt > 0, dt, 1), 0)
+    return jnp.where(dt > 0, jnp.concatenate([gone, turned]) / jnp.where(dt > 0, dt, 1), state.pace)
 
 
 def _usual(state: State, seen: Seen) -> Array:
@@ -232,10 +233,11 @@ def _info(
     link = jnp.full(len(body.links), UNSEEN, jnp.int32)
     link = link.at[np.array(body.scanned)].set(jnp.where(lost, LOST, jnp.where(follows, FOLLOWS, OK)))
     full = carry.chart.overflow > before.overflow
+    # What is worse hides what is less so.
     status = jnp.where(jnp.all(seen.settled), OK, NOT_CONVERGED)
+    status = jnp.where(broken, NON_FINITE, status)
     status = jnp.where(full, FULL, status)
-    status = jnp.where(jnp.mean(lost.astype(reading.dtype)) > 0.25, LOST, status)
-    status = jnp.where(broken, NON_FINITE, status).astype(jnp.int32)
+    status = jnp.where(jnp.mean(lost.astype(reading.dtype)) > 0.25, LOST, status).astype(jnp.int32)
     used = jnp.maximum(s.inliers, 1).astype(reading.dtype)
     return Info(
         links.position,

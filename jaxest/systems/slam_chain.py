@@ -30,7 +30,7 @@ from jaxest.systems._slam_hang import Chain
 from jaxest.systems._slam_register import Config, subset
 from jaxest.systems._slam_rows import Points, Pose, world
 from jaxest.systems._slam_simulation import simulate
-from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, System
+from jaxest.types import FULL, NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, System
 
 
 class Params(NamedTuple):
@@ -115,28 +115,27 @@ def build(
     Raises:
         InputError: as there, or two links with sensors have not exactly one joint between them.
     """
+    bodies.check_sizes(capacity=capacity, points=points, iterations=iterations, least=least)
     body = bodies.body(robot, sensors)
     chain = hang.chain(body)
     config = Config(layout or Hashed(0.2), points, iterations, least, True)
     measurement = slam.Fixed if body.root is None else slam.Free
     return System(
         Params(),
-        partial(init, body, config.layout, capacity),
+        partial(init, body, chain, config.layout, capacity),
         partial(_step, body, chain, config),
         lambda params, **options: simulate(body, measurement, slam.Params(), **options),
     )
 
 
-def init(body: Body, layout: Layout, capacity: int, params: Params, *, key: Array | None = None) -> State:
-    """Return the state that has seen nothing."""
+def init(body: Body, chain: Chain, layout: Layout, capacity: int, params: Params, *, key: Array | None = None) -> State:
+    """Return the state that has seen nothing, the first link where it stands at home."""
     del key
     dtype = jnp.result_type(*jax.tree.leaves(params))
     count = len(body.scanned)
-    turn = jnp.zeros((count, 4), dtype).at[:, 0].set(1)
-    root = bodies.home(body, dtype)
-    if body.root is not None:
-        turn = turn.at[0].set(root.quaternion)
-    place = jnp.zeros((count, 3), dtype).at[0].set(root.position)
+    first = jax.tree.map(lambda x: jnp.asarray(x[0], dtype), chain.offset)
+    turn = jnp.zeros((count, 4), dtype).at[:, 0].set(1).at[0].set(quaternion.normalize(first.rotation))
+    place = jnp.zeros((count, 3), dtype).at[0].set(first.translation)
     covariance = jnp.zeros((count, 7, 7), dtype).at[:, 6, 6].set(jnp.asarray(params.bias_start, dtype) ** 2)
     links = Links(se3.Pose(turn, place), jnp.zeros((count, 1), dtype), covariance.at[0].set(0))
     at = np.array([body.robot.topology.joint_q[j] for j in body.joints], int)
@@ -184,7 +183,8 @@ def _step(
         link, (state.links, state.chart), (jnp.arange(len(body.scanned)), points)
     )
     status = jnp.where(jnp.all(settled), OK, NOT_CONVERGED)
-    status = jnp.where(broken, NON_FINITE, status).astype(jnp.int32)
+    status = jnp.where(broken, NON_FINITE, status)
+    status = jnp.where(chart.overflow > state.chart.overflow, FULL, status).astype(jnp.int32)
     info = Info(
         links.pose.translation,
         links.pose.rotation,

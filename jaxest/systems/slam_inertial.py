@@ -2,12 +2,11 @@
 
 A filter of the IMU's pose, velocity and biases beside `jaxest.systems.slam`: between two scans it integrates the
 samples, which tells SLAM how the root moved and how well that is known; where SLAM then finds the root corrects
-velocity and biases. A root that is lost goes on by its IMU. The world's z is up, as the robot's gravity says.
-
-Source: Forster et al. 2017 (On-manifold preintegration) for the integration over an interval; the errors here are those
-of the state, differentiated through it.
+velocity and biases. A root that is lost, or sees nothing, goes on by its IMU. The world's z is up, as the robot's
+gravity says. Where points tell little, the way by the IMU counts in both filters: the root is taken for too sure.
 """
 
+import inspect
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -16,15 +15,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxest.filters._state import apart
-from jaxest.filters._time import elapsed
-from jaxest.filters.kalman import Factor, Gaussian, predict, update
+from jaxest.filters._state import apart, finite
+from jaxest.filters.kalman import Factor, Gaussian, update
+from jaxest.filters.kalman.gaussian import sandwich
 from jaxest.filters.kalman.model import clean
 from jaxest.kinematics import Robot, frame
-from jaxest.manifolds import Euclidean, product, quaternion, se3
+from jaxest.manifolds import quaternion, se3
 from jaxest.sensors.proximity import Proximity
 from jaxest.systems import slam
-from jaxest.types import NON_FINITE, Array, ArrayLike, InputError, Reading, System
+from jaxest.systems._inertial_track import MANIFOLD, Track, advance, integrate
+from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, OUT_OF_RANGE, Array, ArrayLike, InputError, Reading, System
 
 
 class Params(NamedTuple):
@@ -65,23 +65,6 @@ class Driven(NamedTuple):
     """() s."""
 
 
-class Track(NamedTuple):
-    """How the IMU moves, and what it is off by."""
-
-    pose: Any
-    """IMU to world."""
-    velocity: Any
-    """(3,) m/s, in the world."""
-    gyroscope: Any
-    """(3,) rad/s, bias."""
-    accelerometer: Any
-    """(3,) m/s2, bias."""
-
-
-MANIFOLD = product.of(Track(se3, *(Euclidean((3,)) for _ in range(3))))
-"""Where a `Track` lives: 15 dimensions in the order of its fields, rotation before translation."""
-
-
 class State(NamedTuple):
     """What the next step needs."""
 
@@ -112,6 +95,8 @@ class Setup(NamedTuple):
     """What is static."""
 
     inner: System
+    least: int
+    """Inliers with which a scan tells where the root is."""
     mount: se3.Pose
     """IMU to root."""
     gravity: np.ndarray
@@ -128,7 +113,7 @@ def build(robot: Robot, sensors: Sequence[Proximity], imu: str, **options: Any) 
         **options: those of `slam.build`.
 
     Returns:
-        The system; a measurement is `Driven`. `simulate` is that of `slam`, without an IMU.
+        The system; a measurement is `Driven`. `simulate` draws what `slam` measures, without an IMU.
 
     Raises:
         InputError: as there; the root is fixed, or the IMU is not on it.
@@ -146,8 +131,13 @@ def build(robot: Robot, sensors: Sequence[Proximity], imu: str, **options: Any) 
         turn, place = np.asarray(robot.site_quaternion[at - bodies]), np.asarray(robot.site_position[at - bodies])
     mount = se3.Pose(turn, place)
     inner = slam.build(robot, sensors, **options)
-    setup = Setup(inner, mount, np.asarray(robot.gravity, float))
-    return System(Params(), partial(init, setup), partial(_step, setup), inner.simulate)
+    least = options.get("least", inspect.signature(slam.build).parameters["least"].default)
+    setup = Setup(inner, least, mount, np.asarray(robot.gravity, float))
+
+    def simulate(params: Params, **drawing: Any) -> Any:
+        return inner.simulate(params.inner, **drawing)
+
+    return System(Params(), partial(init, setup), partial(_step, setup), simulate)
 
 
 def init(setup: Setup, params: Params, *, key: Array | None = None) -> State:
@@ -166,64 +156,6 @@ def _typed(pose: se3.Pose, dtype: Any) -> se3.Pose:
     return jax.tree.map(lambda x: jnp.asarray(x, dtype), pose)
 
 
-def advance(track: Track, gyroscope: Array, accelerometer: Array, gravity: Array, dt: Array) -> Track:
-    """Move over one sample whose rate and specific force are constant in the IMU's axes at its middle.
-
-    Args:
-        track: at its beginning.
-        gyroscope: (3,) rad/s.
-        accelerometer: (3,) m/s2.
-        gravity: (3,) m/s2, in the world.
-        dt: () s.
-
-    Returns:
-        The track at its end.
-    """
-    turn = (gyroscope - track.gyroscope) * dt
-    middle = quaternion.retract(track.pose.rotation, turn / 2)
-    push = quaternion.rotate(middle, accelerometer - track.accelerometer) + gravity
-    place = track.pose.translation + (track.velocity + push * dt / 2) * dt
-    pose = se3.Pose(quaternion.retract(track.pose.rotation, turn), place)
-    return track._replace(pose=pose, velocity=track.velocity + push * dt)
-
-
-def integrate(params: Params, track: Gaussian, measurement: Driven, gravity: Array) -> tuple[Gaussian, Array]:
-    """Move over the samples between two scans.
-
-    Args:
-        params: the IMU's noise.
-        track: at the scan before.
-        measurement: with S samples.
-        gravity: (3,) m/s2.
-
-    Returns:
-        The track at this scan, and the covariance (6, 6) of how far the pose is from where it was: rotation and
-        translation in the IMU's axes.
-    """
-    dtype = track.covariance.dtype
-    zero = jnp.zeros((), dtype)
-    white = (params.gyroscope, zero, params.accelerometer, params.gyroscope_walk, params.accelerometer_walk)
-    density = jnp.concatenate([jnp.broadcast_to(jnp.asarray(d, dtype) ** 2, 3) for d in white])
-    moving = jnp.where(jnp.arange(15) < 6, 0, 1).astype(dtype)
-    here = track.covariance * moving[:, None] * moving[None, :]
-
-    def over(beliefs: tuple[Array, Gaussian], row: tuple[Array, Array, Array]) -> tuple[tuple[Array, Gaussian], None]:
-        apart, belief = beliefs
-        gyroscope, accelerometer, dt = row
-        noise = jnp.diag(density * dt)
-
-        def move(x: Track) -> Track:
-            return advance(x, gyroscope, accelerometer, gravity, dt)
-
-        both = (predict(MANIFOLD, belief._replace(covariance=p), move, noise) for p in (apart, belief.covariance))
-        first, second = both
-        return (first.covariance, second), None
-
-    samples = (measurement.gyroscope.value, measurement.accelerometer.value, elapsed(measurement.spacing)[0])
-    (apart, after), _ = jax.lax.scan(over, (here, track), jax.tree.map(lambda x: jnp.asarray(x, dtype), samples))
-    return after, apart[:6, :6]
-
-
 def _step(
     setup: Setup, params: Params, state: State, measurement: Driven, *, key: Array | None = None
 ) -> tuple[State, Info]:
@@ -235,7 +167,12 @@ def _step(
     back = se3.inverse(mount)
     after, spread = integrate(params, before, measurement, jnp.asarray(setup.gravity, dtype))
     there = measurement.gyroscope.valid & measurement.accelerometer.valid
-    whole = jnp.all(there | (measurement.spacing <= 0)) & jnp.any(measurement.spacing > 0) & (state.index > 0)
+    seen, held = measurement.spacing > 0, finite((after, spread))
+    # Samples that stand for more or less than the step, as beside a gap, do not tell the way.
+    covered = jnp.abs(jnp.sum(jnp.where(seen, measurement.spacing, 0)) - measurement.dt) <= measurement.dt / 2
+    whole = jnp.all(there | ~seen) & jnp.any(seen) & covered & held & (state.index > 0)
+    none = (before, jnp.zeros_like(spread))
+    after, spread = jax.tree.map(lambda x, old: jnp.where(held, x, old), (after, spread), none)
     roots = [se3.compose(t.mean.pose, back) for t in (before, after)]
     travel = quaternion.rotate(quaternion.inverse(roots[0].rotation), roots[1].translation - roots[0].translation)
     turn = quaternion.local(roots[0].rotation, roots[1].rotation)
@@ -251,9 +188,11 @@ def _step(
     lost = before._replace(covariance=before.covariance + jnp.diag(_anywhere(params, dtype)))
     carried = jax.tree.map(lambda a, b: jnp.where(whole | (state.index == 0), a, b), after, lost)
     carried = jax.tree.map(lambda a, b: jnp.where(state.index == 0, a, b), before, carried)
-    track = _corrected(carried, inner, back)
+    track, inner = _corrected(carried, inner, back, jnp.any(info.inliers >= setup.least) | ~whole)
     mean = track.mean
-    status = jnp.where(broken, NON_FINITE, info.status).astype(jnp.int32)
+    status = jnp.where(broken & (info.status == NOT_CONVERGED), NON_FINITE, info.status)
+    status = jnp.where(broken & (status == OK), NON_FINITE, status)
+    status = jnp.where(~held & (status == OK), OUT_OF_RANGE, status).astype(jnp.int32)
     out = Info(info, mean.velocity, mean.gyroscope, mean.accelerometer, whole, status)
     return State(inner, track, state.index + 1), out
 
@@ -264,8 +203,12 @@ def _anywhere(params: Params, dtype: Any) -> Array:
     return jnp.concatenate([jnp.broadcast_to(jnp.asarray(d, dtype) ** 2, 3) for d in some])
 
 
-def _corrected(track: Gaussian, inner: slam.State, back: se3.Pose) -> Gaussian:
-    """Bring in where SLAM finds the root, with the covariance that it has there."""
+def _corrected(track: Gaussian, inner: slam.State, back: se3.Pose, told: Array) -> tuple[Gaussian, slam.State]:
+    """Bring in where SLAM finds the root, with the covariance that it has there.
+
+    Where the scan told nothing (`told` is False), SLAM's root is only where the IMU has brought it, and would come back
+    as news; there the root is as uncertain as the IMU's track is, whose errors of velocity and biases last.
+    """
     place, turned = inner.mean.position, inner.mean.quaternion
 
     def residual(x: Track) -> Array:
@@ -275,7 +218,12 @@ def _corrected(track: Gaussian, inner: slam.State, back: se3.Pose) -> Gaussian:
     least = jnp.asarray(np.repeat([1e-4, 1e-4], 3) ** 2, place.dtype)
     noise = inner.covariance[:6, :6] + jnp.diag(least)
     found, _ = update(MANIFOLD, track, Factor(residual, noise))
-    return found
+    slope = jax.jacfwd(lambda v: residual(MANIFOLD.retract(track.mean, v)))(jnp.zeros(15, place.dtype))
+    spread = jnp.diagonal(sandwich(slope, track.covariance))
+    lacks = jnp.maximum(spread - jnp.diagonal(inner.covariance)[:6], 0)
+    grown = inner.covariance.at[np.arange(6), np.arange(6)].add(jnp.where(told, 0, lacks))
+    told = told & finite(found)
+    return jax.tree.map(lambda a, b: jnp.where(told, a, b), found, track), inner._replace(covariance=grown)
 
 
 __all__ = ["MANIFOLD", "Driven", "Info", "Params", "State", "Track", "advance", "build", "init", "integrate"]

@@ -22,7 +22,7 @@ from jaxest.filters import run
 from jaxest.filters.complementary import Imu
 from jaxest.live import latency
 from jaxest.systems import orientation
-from jaxest.types import InputError, Reading
+from jaxest.types import LOST, InputError, Reading
 
 STEPS = 60
 
@@ -113,7 +113,7 @@ def test_a_file_is_followed_while_it_grows(imu, tmp_path):
 
 def test_late_missing_and_broken_samples_are_counted_and_named(imu):
     good = samples(*imu[2:])
-    none = live.Sample(good[3].time + 1e-4, {"gyroscope": [0, 0, 0], "magnetometer": None})
+    none = live.Sample(good[3].time + 1e-4, {"gyroscope": [0, 0, 0], "magnetometer": None, "barometer": None})
     nan = live.Sample(good[3].time + 2e-4, {"gyroscope": [0, float("nan"), 0], "accelerometer": [1e300, 0, 0]})
     wrong = live.Sample(good[4].time, {"gyroscope": [0, 0]})
     unknown = live.Sample(good[4].time, {"gyroscop": [0, 0, 0]})
@@ -177,11 +177,12 @@ class Seen(NamedTuple):
 
 def added(params, state, measurement, *, key=None):
     total = state + measurement.dt
-    return total, Seen(total, jnp.where(measurement.gyroscope.value[0] > 10, 1, 0))
+    rate = measurement.gyroscope.value[0]
+    return total, Seen(total, jnp.where(rate > 10, rate - 98, 0).astype(jnp.int32))
 
 
-def counted(stamps, turning=(), **options):
-    source = (live.Sample(float(t), {"gyroscope": [99 if t in turning else 1, 0, 0]}) for t in stamps)
+def counted(stamps, turning=(), status=1, **options):
+    source = (live.Sample(float(t), {"gyroscope": [98 + status if t in turning else 1, 0, 0]}) for t in stamps)
     return live.drive(added, None, jnp.float32(0), source, template(), deadline=10.0, **options)
 
 
@@ -210,11 +211,13 @@ def test_after_a_long_silence_the_second_sample_is_believed():
         counted(stamps, gap=0.0)
 
 
-def test_a_step_with_a_status_is_counted_and_the_first_is_told():
-    outcome = counted(range(6), turning=(2, 4))
+@pytest.mark.parametrize(("status", "meaning"), [(1, " (a valid"), (LOST, " (what the sensors see"), (77, "")])
+def test_a_step_with_a_status_is_counted_and_the_first_is_told(status, meaning):
+    outcome = counted(range(6), turning=(2, 4), status=status)
     assert (outcome.steps, outcome.flagged) == (6, 2)
     (message,) = outcome.messages
-    assert message.startswith("step at 2.000000 s: status 1 (")
+    assert message.startswith(f"step at 2.000000 s: status {status}{meaning}")
+    assert meaning or message.endswith("77")
 
 
 CODE = """

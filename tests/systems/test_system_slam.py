@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from quick_compile import QUICK
 from scipy.stats import multivariate_normal
-from slam_models import build, errors, robot, sensors, tiny
+from slam_models import TREE, build, errors, robot, sensors, tiny
 
+from jaxest import kinematics
 from jaxest.filters import run
 from jaxest.filters.kalman import information_gain
 from jaxest.manifolds import quaternion, so3
@@ -458,5 +459,28 @@ def test_bad_robots_and_sensors_are_named():
         slam.build(robot(), [Proximity("a", np.zeros(3), np.full((2, 3), 0.9))])
     with pytest.raises(InputError, match="expected 0 <= min < max"):
         slam.build(robot(), [ring("a", 0.1)[0]._replace(minimum=5.0)])
-    with pytest.raises(ValueError, match="capacity: got 0"):
-        slam.build(robot(), sensors(), capacity=0)
+    for system in (slam, slam_chain):
+        with pytest.raises(ValueError, match="capacity: got 0"):
+            system.build(robot(), sensors(), capacity=0)
+
+
+@pytest.mark.parametrize("system", [slam, slam_chain])
+def test_ranges_of_another_number_are_named(system):
+    built = build(system=system)
+    state = built.init(built.default_params)
+    two = Reading(jnp.zeros(4), jnp.ones(4, bool))
+    for count in (10, 1000):
+        ranges = Reading(jnp.ones(count), jnp.ones(count, bool))
+        with pytest.raises(ValueError, match=rf"measurement.ranges: got shape \({count},\), expected \(288,\)"):
+            jax.eval_shape(built.step, built.default_params, state, slam.Fixed(ranges, two, jnp.float32(0.1)))
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_the_first_link_of_a_chain_begins_where_it_stands(free):
+    text = TREE.format(joint="<freejoint/>" if free else "").replace(
+        'name="root"', 'name="root" pos="1 2 .5" euler="0 0 90"'
+    )
+    built = slam_chain.build(kinematics.load(text), [s for name in ("root", "a") for s in ring(name, 0.1)])
+    pose = built.init(built.default_params).links.pose
+    np.testing.assert_allclose(pose.translation[0], [1, 2, 0.5], atol=1e-6)
+    np.testing.assert_allclose(pose.rotation[0], [0.5**0.5, 0, 0, 0.5**0.5], atol=1e-6)

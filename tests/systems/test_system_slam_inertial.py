@@ -7,16 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from quick_compile import QUICK
-from slam_models import robot, sensors
+from slam_models import robot, sensors, tiny
 
 from jaxest.filters import run
+from jaxest.filters._state import finite
 from jaxest.filters.kalman import Gaussian
 from jaxest.manifolds import quaternion, se3
 from jaxest.mapping import Hashed
 from jaxest.simulate import along
 from jaxest.systems import slam_inertial
 from jaxest.systems.slam_inertial import MANIFOLD, Driven, Track, advance
-from jaxest.types import NON_FINITE, OK, InputError, Reading
+from jaxest.types import NON_FINITE, OK, OUT_OF_RANGE, InputError, Reading
 
 GRAVITY = np.array([0, 0, -9.81])
 
@@ -94,7 +95,7 @@ def system():
 def rolled(system, rate):
     """Draw 20 steps of 0.1 s and their samples at 100 Hz; it begins to roll at 1 s."""
     options = {"steps": 201, "dt": 0.01, "odometry": False, "roll": rate, "bias": 0.0}
-    draw = partial(system.simulate, system.default_params.inner, **options)
+    draw = partial(system.simulate, system.default_params, **options)
     dense, truth = jax.jit(draw, compiler_options=QUICK)(key=jax.random.key(3))
     turned = np.asarray(jax.vmap(quaternion.from_matrix)(truth.rotation[:, 0]))
     samples = along.readings(np.asarray(truth.position)[:, 0], turned, 0.01, np.asarray(robot(free=True).gravity))
@@ -129,6 +130,43 @@ def test_a_roll_that_is_lost_without_an_imu_is_followed_with_it(system):
     assert int(info.status[4]) == NON_FINITE
     away = jax.vmap(lambda a, b: jnp.linalg.norm(quaternion.local(a, b)))(turned, info.inner.quaternion[:, 0])
     assert np.asarray(away).max() < 0.05
+
+
+def test_where_a_scan_tells_nothing_the_root_is_as_uncertain_as_its_imu():
+    """SLAM's root is then where the IMU has brought it: as a measurement it would be counted again in every step."""
+    system = tiny(system=slam_inertial, imu="root")
+    state = system.init(system.default_params)
+    back = se3.Pose(jnp.array([1.0, 0, 0, 0]), jnp.zeros(3))
+    spread = jnp.asarray(np.repeat([0.02, 0.3, 0.1, 0.01, 0.1], 3) ** 2, jnp.float32)
+    track = state.track._replace(covariance=jnp.diag(spread))
+    sure = state.inner._replace(covariance=state.inner.covariance.at[:6, :6].set(1e-4 * jnp.eye(6)))
+    blind, inner = slam_inertial._corrected(track, sure, back, jnp.bool_(False))
+    np.testing.assert_array_equal(blind.covariance, track.covariance)
+    np.testing.assert_allclose(np.diag(inner.covariance)[:6], np.repeat([0.09, 0.0004], 3), rtol=1e-5)
+    told, kept = slam_inertial._corrected(track, sure, back, jnp.bool_(True))
+    np.testing.assert_array_equal(kept.covariance, sure.covariance)
+    assert np.all(np.diag(told.covariance)[3:6] < 1.1e-4)
+
+
+@pytest.mark.slow
+def test_samples_that_stand_for_another_time_than_the_step_or_outgrow_the_precision_are_left_out(system):
+    given, _ = rolled(system, 0.1)
+    state, _ = jax.jit(partial(run, system.step), compiler_options=QUICK)(
+        system.default_params, system.init(system.default_params), jax.tree.map(lambda x: x[:5], given)
+    )
+    step = jax.jit(system.step, compiler_options=QUICK)
+    row = jax.tree.map(lambda x: x[5], given)
+    huge = row.accelerometer._replace(value=row.accelerometer.value.at[0, 0].set(1e30))
+    long = row.spacing.at[0].set(2.0)
+    for changed, status in (
+        (row, OK),
+        (row._replace(spacing=long), OK),
+        (row._replace(accelerometer=huge), OUT_OF_RANGE),
+    ):
+        after, info = step(system.default_params, state, changed)
+        assert int(info.status) == status
+        assert bool(info.driven) == (changed is row)
+        assert finite(after)
 
 
 def test_an_imu_elsewhere_is_named():
