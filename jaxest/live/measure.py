@@ -25,7 +25,7 @@ def measurement_of(template: PyTree, sample: Sample, dt: float) -> PyTree:
 
     Args:
         template: a measurement of the step, NumPy arrays of the right shapes and dtypes; its other fields are kept.
-        sample: the sample; streams that the measurement does not take are an error.
+        sample: the sample; values of streams that the measurement does not take are an error.
         dt: s, since the step before.
 
     Returns:
@@ -35,8 +35,8 @@ def measurement_of(template: PyTree, sample: Sample, dt: float) -> PyTree:
         InputError: a stream is unknown (the closest name is given) or has another shape.
     """
     known = fields(template)
-    for name in sample.values:
-        if name not in known:
+    for name, value in sample.values.items():
+        if name not in known and value is not None:
             raise InputError(f"sample at {sample.time:.6f} s: {unknown_name('stream', name, known)}")
     readings = {name: _reading(getattr(template, name), sample.values.get(name), name, sample.time) for name in known}
     return template._replace(**readings, dt=np.asarray(dt, np.asarray(template.dt).dtype))
