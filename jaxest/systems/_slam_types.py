@@ -57,7 +57,8 @@ class Params(NamedTuple):
     search: ArrayLike = 0.5
     """() rad, how far a free root is looked for about each axis where it is not as predicted; a quarter of it in m."""
     travel: ArrayLike = 0.01
-    """() m, standard deviation of a step's `travel`."""
+    """() m, standard deviation of a step's `travel`. One that is wrong by half a metre, within which points are matched
+    is taken for a way into what was not seen before: the room is mapped again there, with no status."""
     turn: ArrayLike = 0.005
     """() rad, standard deviation of a step's `turn`."""
     admit: ArrayLike = 0.15
