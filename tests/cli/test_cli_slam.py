@@ -6,7 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
-from jaxest.cli.methods import Request, slam
+from jaxest.cli.methods import Request, slam, slam_streams
 from jaxest.cli.methods.slam_imu import driven
 from jaxest.io import SensorLog, Stream, read, write
 from jaxest.io.clouds import read_cloud
@@ -182,8 +182,8 @@ def test_an_encoder_that_misses_a_row_goes_on(log):
     spoiled = SensorLog(log.streams | {"joints": log.streams["joints"]._replace(value=value)})
     robot = kinematics.load(rooms.structure(2))
     with pytest.raises(InputError, match=r"stream of joints: row 5 .* is not finite"):
-        slam._measurements(spoiled, {}, robot, 384, "error")
-    _, given, _ = slam._measurements(spoiled, {}, robot, 384, "missing")
+        slam_streams.measurements(spoiled, {}, robot, 384, "error")
+    _, given, _ = slam_streams.measurements(spoiled, {}, robot, 384, "missing")
     assert given.joints.valid.all()
     np.testing.assert_allclose(np.delete(given.joints.value, 5, 0), np.delete(value, 5, 0), atol=1e-6)
 
