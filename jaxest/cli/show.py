@@ -58,7 +58,7 @@ def run(
     log = io.read(source)
     if cloud is None and (estimate / MAP).is_file():
         cloud = estimate / MAP
-    joints = _stream(log, "joints" if "joints" in log.streams else None)
+    joints = _stream(log, next((name for name in ("joints", "slides") if name in log.streams), None))
     stamps = np.arange(joints.time[0], joints.time[-1] + 1e-9, 1 / rate)
     if out.suffix.lower() == ".gif":
         stamps = stamps[:: max(1, -(-len(stamps) // LONGEST))]
@@ -98,12 +98,13 @@ def _stream(log: Any, name: str | None) -> Any:
 
 
 def configurations(robot: Any, log: Any, joints: Any, rows: Any) -> Any:
-    """Put joint angles, and where ball and free joints are, into the robot's coordinates; others stay at home.
+    """Put joint angles, and where slides, ball and free joints are, into the robot's coordinates; others stay at home.
 
     Args:
         robot: the robot.
-        log: the estimate, for streams `NAME/orientation` and `NAME/position` of joints, or of the free joints' bodies.
-        joints: its stream of named angles.
+        log: the estimate, for streams `slides`, and `NAME/orientation` and `NAME/position` of joints, or of the free
+            joints' bodies.
+        joints: its stream of named angles, or of slides where there are no others.
         rows: (T,) which of its rows.
 
     Returns:
@@ -116,12 +117,14 @@ def configurations(robot: Any, log: Any, joints: Any, rows: Any) -> Any:
     from jaxest.types import unknown_name
 
     q = np.tile(np.asarray(robot.home, float), (len(rows), 1))
-    for column, name in enumerate(joints.names):
+    slides = log.streams.get("slides")
+    beside = slides is not None and slides.names and len(slides.value) == len(joints.value)
+    read = [joints, slides] if beside else [joints]
+    for name, column in [pair for item in read for pair in zip(item.names, item.value[rows].T, strict=True)]:
         if name not in robot.joint_names:
             raise unknown_name("joint", name, robot.joint_names)
-        value = joints.value[rows, column]
         at = robot.topology.joint_q[robot.joint_names.index(name)]
-        q[:, at] = np.where(np.isfinite(value), value, q[:, at])
+        q[:, at] = np.where(np.isfinite(column), column, q[:, at])
     tree = robot.topology
     for j, (name, kind) in enumerate(zip(robot.joint_names, tree.joint_kind, strict=True)):
         at = tree.joint_q[j]

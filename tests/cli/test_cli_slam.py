@@ -2,14 +2,17 @@
 
 import json
 import tomllib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from jaxest.cli.methods import Request, slam, slam_streams
+from jaxest import kinematics
+from jaxest.cli.methods import Request, slam, slam_figures, slam_streams
 from jaxest.cli.methods.slam_imu import driven
 from jaxest.io import SensorLog, Stream, read, write
 from jaxest.io.clouds import read_cloud
+from jaxest.io.report import Row
 from jaxest.sensors.proximity import ring
 from jaxest.simulate import proximity, rooms
 from jaxest.systems.slam import Free
@@ -175,8 +178,6 @@ def test_what_cannot_be_is_named(log, tmp_path, settings, message):
 
 def test_an_encoder_that_misses_a_row_goes_on(log):
     """A row of the joints that is no number is refused unless told to be missing; those that follow are read."""
-    from jaxest import kinematics
-
     value = np.array(log.streams["joints"].value)
     value[5, 0] = np.nan
     spoiled = SensorLog(log.streams | {"joints": log.streams["joints"]._replace(value=value)})
@@ -186,6 +187,38 @@ def test_an_encoder_that_misses_a_row_goes_on(log):
     _, given, _ = slam_streams.measurements(spoiled, {}, robot, 384, "missing")
     assert given.joints.valid.all()
     np.testing.assert_allclose(np.delete(given.joints.value, 5, 0), np.delete(value, 5, 0), atol=1e-6)
+
+
+def found(**fields):
+    """A run of two steps of a robot with a slide and a hinge, whose figures are fine unless said otherwise."""
+    whole = {
+        "joints": [[0.2, 0.5]] * 2, "bias": [[0.05, 0.1]] * 2, "bias_deviation": [[0.002, 0.01]] * 2,
+        "position": np.zeros((2, 2, 3)), "quaternion": np.tile([1.0, 0, 0, 0], (2, 2, 1)),
+        "inliers": [[20], [20]], "seen": [[40], [40]], "voxels": [100, 200], "overflow": [0, 0], "status": [0, 0],
+        "link_status": [[6, 0]] * 2,
+    }  # fmt: skip
+    return SimpleNamespace(**{name: np.asarray(value) for name, value in (whole | fields).items()})
+
+
+@pytest.fixture(scope="module")
+def lift():
+    return kinematics.load(
+        '<mujoco><worldbody><body name="base"><joint name="lift" type="slide"/><geom size=".1"/><body name="arm">'
+        '<joint name="turn"/><geom size=".1"/></body></body></worldbody></mujoco>'
+    )
+
+
+def test_slides_are_told_in_metres_and_hinges_in_radians(lift):
+    joints, info, time = slam_streams.encoded(lift), found(), np.arange(2.0)
+    rows = slam_figures.rows(time, joints, info, lift)
+    assert Row("bias at the end", "lift", 50.0, "mm", 2.0, 2) in rows
+    assert ("turn", "deg") in [(row.condition, row.unit) for row in rows if row.metric == "bias at the end"]
+    streams = slam_figures.streams(time, joints, info, lift)
+    for name, unit, joint, column in (("slides", "m", "lift", 0), ("joints", "rad", "turn", 1)):
+        for part, value in (("", info.joints), ("_bias", info.bias), ("_deviation", info.bias_deviation)):
+            item = streams[name + part]
+            assert (item.unit, item.names) == (unit, (joint,))
+            np.testing.assert_array_equal(item.value[:, 0], value[:, column])
 
 
 def test_an_imus_samples_belong_to_the_scan_that_follows():

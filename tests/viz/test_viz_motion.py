@@ -122,17 +122,25 @@ def test_show_renders_an_estimate(estimated):
         assert picture.size == (480, 360)
 
 
-def test_a_free_root_is_where_its_body_was_found():
+def test_a_free_root_is_where_its_body_was_found_and_a_slide_where_it_went():
     robot = kinematics.load(
         '<mujoco><worldbody><body name="rover"><freejoint name="root"/><geom size=".1"/><body name="arm">'
-        '<joint name="turn"/><geom size=".1"/></body></body></worldbody></mujoco>'
+        '<joint name="turn"/><geom size=".1"/><body name="rod"><joint name="lift" type="slide"/><geom size=".1"/>'
+        "</body></body></body></worldbody></mujoco>"
     )
     time, turned = np.arange(3) / 10, np.tile([0.8, 0, 0, 0.6], (3, 1))
     joints = Stream(time, np.full((3, 1), 0.2), "rad", names=("turn",))
     place = Stream(time, np.array([[1.0, 2, 3], [2, 3, 4], [4, 5, 6]]), "m")
-    log = SensorLog({"joints": joints, "rover/position": place, "rover/orientation": Stream(time, turned, "1")})
-    found = configurations(robot, log, joints, np.array([0, 2]))
-    np.testing.assert_allclose(found, [[1, 2, 3, 0.8, 0, 0, 0.6, 0.2], [4, 5, 6, 0.8, 0, 0, 0.6, 0.2]])
+    slides = Stream(time, np.array([[0.1], [0.2], [0.3]]), "m", names=("lift",))
+    found = configurations(
+        robot,
+        SensorLog({
+            "joints": joints, "slides": slides, "rover/position": place, "rover/orientation": Stream(time, turned, "1")
+        }),
+        joints,
+        np.array([0, 2]),
+    )  # fmt: skip
+    np.testing.assert_allclose(found, [[1, 2, 3, 0.8, 0, 0, 0.6, 0.2, 0.1], [4, 5, 6, 0.8, 0, 0, 0.6, 0.2, 0.3]])
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The joints that `--method deflection` estimates: their names, units and kinds, and an estimate's streams of them."""
+"""The joints that a method estimates: their names, units and kinds; and the streams of `--method deflection`."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ KINDS = {"hinge": ("joints", "rad", "deg", np.rad2deg(1.0)), "slide": ("slides",
 
 
 class Joints(NamedTuple):
-    """The estimated joints, hinges first, then slides, then balls."""
+    """The estimated joints; of a deflection hinges first, then slides, then balls."""
 
     names: tuple[str, ...]
     kinds: tuple[str, ...]

@@ -26,15 +26,16 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     """Estimate where a robot's links are, and the room about it.
 
     Args:
-        log: streams `joints` (T, n) rad and `ranges` (T, R) m, or those that the config names; NaN or values beyond a
-            sensor's limits are zones that say nothing. A free root's odometry may come as `travel` and `turn` (T, 3),
-            an IMU on it as `gyroscope` and `accelerometer` (n, 3) at their own times, if `imu` names its frame.
+        log: streams `joints` (n, k) rad, or m of slides, and `ranges` (T, R) m, or those that the config names; NaN or
+            values beyond a sensor's limits are zones that say nothing. A free root's odometry may come as `travel` and
+            `turn` (T, 3), an IMU on it as `gyroscope` and `accelerometer` (n, 3) at their own times, if `imu` names
+            its frame.
         request: the robot, and the config's table `[slam]` with `[slam.rings.NAME]` and `[slam.sensors.NAME]`, whose
             zones stand in `ranges` one after the other, in the config's order.
 
     Returns:
-        Streams `joints`, `joints_bias`, `joints_deviation`, and for each body `NAME/position` and `NAME/orientation`;
-        the map is a PLY file beside the estimate.
+        Streams `joints` and `slides`, where there are such, each with `_bias` and `_deviation`, and for each body
+        `NAME/position` and `NAME/orientation`; the map is a PLY file beside the estimate.
 
     Raises:
         InputError: no robot, no sensor, streams that do not fit.
@@ -43,7 +44,6 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
     from jaxest import kinematics
     from jaxest.filters import run
-    from jaxest.kinematics.robot import SLIDE
     from jaxest.sensors.proximity import rays
 
     if request.robot is None:
@@ -60,23 +60,20 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     if imu is not None:
         state, info = state.inner, info.inner
     info = jax.tree.map(np.asarray, info)
-    led = {j for j, _ in robot.topology.couplings}
-    kinds = enumerate(zip(robot.joint_names, robot.topology.joint_kind, strict=True))
-    names = tuple(name for j, (name, kind) in kinds if kind != "free" and j not in led)
+    joints = slam_streams.encoded(robot)
     chart = np.asarray(state.chart.point)[: int(state.chart.used)].astype(float)
 
     def draw(path: Path, title: str) -> None:
         from jaxest.viz import surroundings
 
-        slides = np.array([robot.topology.joint_kind[robot.joint_names.index(name)] == SLIDE for name in names])
-        biases = surroundings.Biases(time, info.bias, info.bias_deviation, slides)
+        biases = surroundings.Biases(time, info.bias, info.bias_deviation, ~joints.hinges)
         surroundings.draw(path, chart, info.position[-1], robot.topology.body_parent, biases, title=title)
 
     stands = ("free" + (", driven by an IMU" if imu else "")) if free else "fixed"
     notes = [f"{len(placed)} sensors, {rays(placed)} zones; the root is {stands}"]
     cloud = Cloud(chart, np.asarray(state.chart.total)[: len(chart), 3].astype(float))
-    found = SensorLog(slam_figures.streams(time, names, info, robot), log.source)
-    rows = [*slam_figures.rows(time, names, info, robot), *slam_figures.turns(state.mounts)]
+    found = SensorLog(slam_figures.streams(time, joints, info, robot), log.source)
+    rows = [*slam_figures.rows(time, joints, info, robot), *slam_figures.turns(state.mounts)]
     return Outcome(found, rows, notes, slam_figures.refused(info), draw, {MAP: clouds.encoded(cloud, MAP)})
 
 

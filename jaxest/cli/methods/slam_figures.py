@@ -6,33 +6,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.cli.methods import SIZE
+from jaxest.cli.methods.deflection_joints import KINDS, Joints
 from jaxest.io import Stream
 from jaxest.io.report import Row
 
 LOST = 0.1  # share of steps flagged as lost above which the result must not be used
 
 
-def streams(time: NDArray[Any], names: tuple[str, ...], info: Any, robot: Any) -> dict[str, Stream]:
-    """Return what was estimated as streams: joints, and where each body is."""
-    streams = {
-        "joints": Stream(time, info.joints.astype(float), "rad", names=names),
-        "joints_bias": Stream(time, info.bias.astype(float), "rad", names=names),
-        "joints_deviation": Stream(time, info.bias_deviation.astype(float), "rad", names=names),
-    }
+def streams(time: NDArray[Any], joints: Joints, info: Any, robot: Any) -> dict[str, Stream]:
+    """Return what was estimated as streams: joints and slides, where there are such, and where each body is."""
+    streams = {}
+    for kind, (label, unit, _, _) in KINDS.items():
+        mine = np.array([one == kind for one in joints.kinds], bool)
+        parts = {label: info.joints, f"{label}_bias": info.bias, f"{label}_deviation": info.bias_deviation}
+        for name, value in parts.items() if mine.any() else ():
+            streams[name] = Stream(time, value[:, mine].astype(float), unit, names=joints.of(kind))
     for k, body in enumerate(robot.topology.body_names):
         streams[f"{body}/position"] = Stream(time, info.position[:, k].astype(float), "m")
         streams[f"{body}/orientation"] = Stream(time, info.quaternion[:, k].astype(float), "1")
     return streams
 
 
-def rows(time: NDArray[np.float64], names: tuple[str, ...], info: Any, robot: Any) -> list[Row]:
+def rows(time: NDArray[np.float64], joints: Joints, info: Any, robot: Any) -> list[Row]:
     """Return the figures of a run over steps at `time` (T,) s."""
     from jaxest.systems import slam
 
     found = [Row(SIZE[0], "", float(len(time)), "1"), Row(SIZE[1], "", float(time[-1] - time[0]), "s")]
-    for j, name in enumerate(names):
-        found.append(Row("bias at the end", name, float(np.rad2deg(info.bias[-1, j])), "deg",
-                         float(np.rad2deg(info.bias_deviation[-1, j])), len(time)))  # fmt: skip
+    for j, (name, unit, scale) in enumerate(joints.coordinates):
+        bias, deviation = (scale * float(x[-1, j]) for x in (info.bias, info.bias_deviation))
+        found.append(Row("bias at the end", name, bias, unit, deviation, len(time)))
     found.append(
         Row("points that fit the map", "mean", 100 * float(np.mean(info.inliers / np.maximum(info.seen, 1))), "%")
     )

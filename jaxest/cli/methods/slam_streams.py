@@ -6,16 +6,24 @@ from typing import Any
 import numpy as np
 
 from jaxest.cli import truth
+from jaxest.cli.methods.deflection_joints import Joints
 from jaxest.io import SensorLog
 from jaxest.io.log import refuse_nan, stream, where
 from jaxest.types import InputError, unknown_name
+
+
+def encoded(robot: Any) -> Joints:
+    """Return the joints with an encoder, in the robot's order: hinges and slides that no other joint leads."""
+    led = {j for j, _ in robot.topology.couplings}
+    pairs = zip(robot.joint_names, robot.topology.joint_kind, strict=True)
+    kept = [pair for j, pair in enumerate(pairs) if pair[1] != "free" and j not in led]
+    return Joints(tuple(name for name, _ in kept), tuple(kind for _, kind in kept))
 
 
 def measurements(
     log: SensorLog, settings: Mapping[str, Any], robot: Any, zones: int, nan: str
 ) -> tuple[Any, Any, bool]:
     """Return times (T,), measurements and whether the root is free; one step a row of `ranges`."""
-    from jaxest.kinematics.robot import HINGE
     from jaxest.systems import slam
     from jaxest.types import Reading
 
@@ -25,20 +33,18 @@ def measurements(
     value = np.asarray(ranges.value, float).reshape(len(ranges.time), -1)
     if value.shape[1] != zones:
         raise InputError(f"{spot}stream of ranges has {value.shape[1]} columns, the config's sensors {zones} zones")
-    led = {j for j, _ in robot.topology.couplings}
-    wanted = [n for j, n in enumerate(robot.joint_names) if robot.topology.joint_kind[j] != "free" and j not in led]
+    wanted = encoded(robot)
     angles = np.asarray(joints.value, float).reshape(len(joints.time), -1)
-    given = list(joints.names) or wanted
-    for name in wanted:
+    given = list(joints.names) or list(wanted.names)
+    for name in wanted.names:
         if name not in given:
             raise unknown_name(f"{spot}stream of joints: column", name, given)
     if angles.shape[1] != len(given):
         raise InputError(f"{spot}stream of joints has {angles.shape[1]} columns, expected {len(given)}: {given}")
-    columns = [given.index(name) for name in wanted]
+    columns = [given.index(name) for name in wanted.names]
     if nan == "error":
         refuse_nan(joints, f"{spot}stream of joints", 'nan = "missing" in a config')
-    kinds = [robot.topology.joint_kind[robot.joint_names.index(name)] for name in wanted]
-    at = truth.joints(joints, dict(enumerate(columns)), [kind == HINGE for kind in kinds], ranges.time)
+    at = truth.joints(joints, dict(enumerate(columns)), wanted.hinges, ranges.time)
     there = np.isfinite(at)
     dt = np.concatenate([[0.0], np.diff(ranges.time)]).astype(np.float32)
     fields: dict[str, Any] = {
@@ -60,4 +66,4 @@ def measurements(
     return ranges.time, (slam.Free if free else slam.Fixed)(**fields), free
 
 
-__all__ = ["measurements"]
+__all__ = ["encoded", "measurements"]
