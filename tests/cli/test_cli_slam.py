@@ -240,3 +240,39 @@ def test_an_imus_samples_belong_to_the_scan_that_follows():
     assert not given.gyroscope.valid[2, 2]
     with pytest.raises(InputError, match="expected three"):
         driven(log, {"gyroscope_stream": "ranges"}, Free(None, None, None, None, np.full(4, 0.1)))
+    later = SensorLog(log.streams | {"accelerometer": log.streams["accelerometer"]._replace(time=time + 1000)})
+    with pytest.raises(InputError, match=r"'accelerometer': covers 1000.010 to .* within the ranges' 0.100 to 0.400 s"):
+        driven(later, {}, Free(None, None, None, None, np.full(4, 0.1)))
+
+
+UNIX = 1.7e9 + 0.1 * np.arange(1, 7)
+
+
+@pytest.mark.parametrize(
+    ("odometry", "settings", "free", "message"),
+    [
+        ({}, {"travel_stream": "odmo"}, True, "stream 'odmo' does not exist; did you mean 'odom'"),
+        ({}, {"travel_stream": "odom"}, False, r"\[slam\] travel_stream: is 'odom' .*the robot's root is fixed"),
+        ({}, {"turn_stream": "odom", "imu": "root"}, True, r"\[slam\] turn_stream: .*the IMU 'root' tells how"),
+        ({}, {"gyroscope_stream": "odom"}, True, r"\[slam\] gyroscope_stream: .*no imu = "),
+        ({"time": UNIX - 3600}, {}, True, "stream 'travel': 6 rows from 1699996400.100 .* expected one at each"),
+        ({"time": UNIX[:5], "value": np.ones((5, 3))}, {}, True, "stream 'travel': 5 rows .* the ranges' 6 times"),
+        ({"value": np.ones(6)}, {}, True, r"stream 'travel': got shape \(6,\), expected \(6, 3\)"),
+        ({"value": np.ones((6, 1))}, {}, True, r"stream 'travel': got shape \(6, 1\), expected \(6, 3\)"),
+    ],
+)
+def test_streams_that_would_not_be_used_are_named(odometry, settings, free, message):
+    """Nothing that a config or a log holds is dropped without a word."""
+    robot = kinematics.load(rooms.structure(1, free=free))
+    still = Stream(UNIX, np.full((6, 3), 0.01), "m")
+    streams = {
+        "ranges": Stream(UNIX, np.ones((6, 4)), "m"), "joints": Stream(UNIX, np.full((6, 1), 0.2), "rad"),
+        "travel": still, "odom": still,
+    }  # fmt: skip
+    if free and not settings:
+        _, given, _ = slam_streams.measurements(SensorLog(streams), {}, robot, 4, "error")
+        assert given.travel.valid.all()
+        assert not given.turn.valid.any()
+    with pytest.raises(InputError, match=message):
+        wrong = streams | {"travel": still._replace(**odometry)}
+        slam_streams.measurements(SensorLog(wrong), settings, robot, 4, "error")

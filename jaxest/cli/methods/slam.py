@@ -71,6 +71,8 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
     stands = ("free" + (", driven by an IMU" if imu else "")) if free else "fixed"
     notes = [f"{len(placed)} sensors, {rays(placed)} zones; the root is {stands}"]
+    unused = [name for name in slam_streams.ODOMETRY if imu is not None and name in log.streams]
+    notes += [f"not used beside an IMU: {', '.join(unused)}"] if unused else []
     cloud = Cloud(chart, np.asarray(state.chart.total)[: len(chart), 3].astype(float))
     found = SensorLog(slam_figures.streams(time, joints, info, robot), log.source)
     rows = [*slam_figures.rows(time, joints, info, robot), *slam_figures.turns(state.mounts)]

@@ -22,7 +22,7 @@ def driven(log: SensorLog, settings: Mapping[str, Any], given: Any) -> Any:
         `slam_inertial.Driven`: each sample belongs to the first scan that is not earlier.
 
     Raises:
-        InputError: no such stream, or other than three columns.
+        InputError: no such stream, other than three columns, or no sample between two scans.
     """
     from jaxest.systems.slam_inertial import Driven
 
@@ -40,12 +40,17 @@ def driven(log: SensorLog, settings: Mapping[str, Any], given: Any) -> Any:
     most = int(rank[between].max(initial=0)) + 1
     at = (step[between], rank[between])
     read: list[Any] = []
-    for item in items:
+    for name, item in zip(names, items, strict=True):
         value = np.asarray(item.value, float).reshape(len(item.time), 3)
         value = np.stack([np.interp(time, item.time, column, np.nan, np.nan) for column in value.T], axis=1)
         table = np.zeros((len(scans), most, 3), np.float32)
         there = np.ones((len(scans), most), bool)
         finite = np.isfinite(value).all(axis=1)
+        if not finite[between].any():
+            raise InputError(
+                f"{spot}stream {name!r}: covers {item.time[0]:.3f} to {item.time[-1]:.3f} s and has no sample between "
+                f"two scans, expected some within the ranges' {scans[0]:.3f} to {scans[-1]:.3f} s"
+            )
         table[at], there[at] = np.where(finite[:, None], value, 0)[between], finite[between]
         read.append(Reading(table, there))  # type: ignore[arg-type]
     spaced: Any = np.zeros((len(scans), most), np.float32)

@@ -4,12 +4,16 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jaxest.cli import truth
 from jaxest.cli.methods.deflection_joints import Joints
 from jaxest.io import SensorLog
 from jaxest.io.log import refuse_nan, stream, where
-from jaxest.types import InputError, unknown_name
+from jaxest.types import InputError, Reading, unknown_name
+
+ODOMETRY = ("travel", "turn")
+APART = 1e-3  # s, between the stamps of odometry and of the ranges that belong together
 
 
 def encoded(robot: Any) -> Joints:
@@ -23,10 +27,15 @@ def encoded(robot: Any) -> Joints:
 def measurements(
     log: SensorLog, settings: Mapping[str, Any], robot: Any, zones: int, nan: str
 ) -> tuple[Any, Any, bool]:
-    """Return times (T,), measurements and whether the root is free; one step a row of `ranges`."""
-    from jaxest.systems import slam
-    from jaxest.types import Reading
+    """Return times (T,), measurements and whether the root is free; one step a row of `ranges`.
 
+    Raises:
+        InputError: a stream is not there or does not fit, or the config names one that would not be used.
+    """
+    from jaxest.systems import slam
+
+    free = robot.topology.joint_kind[:1] == ("free",)
+    _refuse_idle(settings, free)
     ranges = stream(log, settings.get("ranges", "ranges"))
     joints = stream(log, settings.get("joints", "joints"))
     spot = where(log)
@@ -52,18 +61,39 @@ def measurements(
         "joints": Reading(np.where(there, at, 0).astype(np.float32), there),  # type: ignore[arg-type]
         "dt": dt,
     }
-    free = robot.topology.joint_kind[:1] == ("free",)
-    for name in ("travel", "turn") if free else ():
-        known = settings.get(f"{name}_stream", name)
-        moved, seen = np.zeros((len(dt), 3), np.float32), np.zeros(len(dt), bool)
-        if known in log.streams:
-            item = stream(log, known)
-            if len(item.time) != len(dt) or not np.allclose(item.time, ranges.time):
-                raise InputError(f"{spot}stream {known!r}: expected a row at each of the ranges' {len(dt)} times")
-            moved, seen = np.asarray(item.value, np.float32), np.isfinite(item.value).all(axis=1)
-            moved = np.nan_to_num(moved)
-        fields[name] = Reading(moved, seen)  # type: ignore[arg-type]
+    if free:
+        fields |= {name: _odometry(log, settings, name, ranges.time) for name in ODOMETRY}
     return ranges.time, (slam.Free if free else slam.Fixed)(**fields), free
 
 
-__all__ = ["encoded", "measurements"]
+def _refuse_idle(settings: Mapping[str, Any], free: bool) -> None:
+    """Refuse keys of the config that name a stream which nothing would read."""
+    imu = "imu" in settings
+    for keys, idle, why in (
+        ([f"{name}_stream" for name in ODOMETRY], not free, "the robot's root is fixed"),
+        ([f"{name}_stream" for name in ODOMETRY], imu, f"the IMU {settings.get('imu')!r} tells how the root moves"),
+        (["gyroscope_stream", "accelerometer_stream"], not imu, 'no imu = "FRAME" says where the IMU is'),
+    ):
+        for key in keys:
+            if key in settings and idle:
+                raise InputError(f"[slam] {key}: is {settings[key]!r} and would do nothing ({why}); leave it out")
+
+
+def _odometry(log: SensorLog, settings: Mapping[str, Any], name: str, time: NDArray[np.float64]) -> Reading:
+    """Return `travel` or `turn` (T, 3) at the times (T,) of the ranges; none where neither config nor log has it."""
+    known, many = settings.get(f"{name}_stream", name), len(time)
+    if known == name and name not in log.streams:
+        return Reading(np.zeros((many, 3), np.float32), np.zeros(many, bool))  # type: ignore[arg-type]
+    item, spot = stream(log, known), f"{where(log)}stream {known!r}"
+    if len(item.time) != many or not np.allclose(item.time, time, rtol=0, atol=APART):
+        raise InputError(
+            f"{spot}: {len(item.time)} rows from {item.time[0]:.3f} to {item.time[-1]:.3f} s, expected one at each of "
+            f"the ranges' {many} times, {time[0]:.3f} to {time[-1]:.3f} s"
+        )
+    value = np.asarray(item.value, np.float32)
+    if value.shape != (many, 3):
+        raise InputError(f"{spot}: got shape {value.shape}, expected {(many, 3)}: along the root's x, y and z")
+    return Reading(np.nan_to_num(value), np.isfinite(value).all(axis=1))  # type: ignore[arg-type]
+
+
+__all__ = ["ODOMETRY", "encoded", "measurements"]
