@@ -103,6 +103,9 @@ def test_a_log_becomes_poses_biases_and_a_map(log, tmp_path, capsys, monkeypatch
     assert np.all(np.abs(away) < 4 * deviation)
     metrics = {(row["metric"], row["condition"]): row["value"] for row in report["rows"]}
     assert metrics["steps flagged as lost", ""] == 0
+    assert metrics["steps, link kept its prediction", "root"] > 0  # before there is a map
+    assert found.streams["status"].value.shape == (12,)
+    assert found.streams["link_status"].names == ("root", "link1", "link2")
     assert metrics["map", "voxels"] > 100
     assert len(read_cloud(tmp_path / "out" / "slam_map.ply").point) == metrics["map", "voxels"]
 
@@ -149,6 +152,7 @@ def test_an_imu_drives_a_free_root(tmp_path):
     assert "the root is free, driven by an IMU" in outcome.notes[0]
     place = outcome.estimate.streams["root/position"].value
     assert np.abs(place - place[0]).max() < 0.03
+    assert outcome.estimate.streams["driven"].value[1:].all()
     with pytest.raises(InputError, match="stream 'spin'"):
         slam.estimate(given, Request(settings, robot=robot))
 
@@ -163,6 +167,8 @@ def test_an_imu_drives_a_free_root(tmp_path):
         ({"rings": {"a": {"frame": "toor"}}}, "frame 'toor' does not exist"),
         ({"rings": {"a": {"frame": "root"}}, "ranges": "rangs"}, "did you mean 'ranges'"),
         ({"rings": {"a": {"frame": "root"}}, "noise": 0.0}, r"\[slam\] noise: got 0, expected a finite .* more than 0"),
+        ({"rings": {"a": {"frame": "root"}}, "voxel": 0.0}, r"\[slam\] voxel: got 0, expected a finite .* more than 0"),
+        ({"rings": {"a": {"frame": "root"}}, "voxel": np.nan}, r"\[slam\] voxel: got nan, expected a finite"),
         ({"rings": {"a": {"frame": "root"}}, "swing": -1.0}, r"\[slam\] swing: got -1, expected a finite"),
         ({"rings": {"a": {"frame": "root"}}, "imu": "root"}, "imu 'root': the robot's root is fixed"),
     ],
@@ -182,9 +188,10 @@ def test_an_encoder_that_misses_a_row_goes_on(log):
     value[5, 0] = np.nan
     spoiled = SensorLog(log.streams | {"joints": log.streams["joints"]._replace(value=value)})
     robot = kinematics.load(rooms.structure(2))
+    sensors = [s for frame in ("root", "link1", "link2") for s in ring(frame, 0.085, rows=4, columns=4)]
     with pytest.raises(InputError, match=r"stream of joints: row 5 .* is not finite"):
-        slam_streams.measurements(spoiled, {}, robot, 384, "error")
-    _, given, _ = slam_streams.measurements(spoiled, {}, robot, 384, "missing")
+        slam_streams.measurements(spoiled, {}, robot, sensors, "error")
+    _, given, _ = slam_streams.measurements(spoiled, {}, robot, sensors, "missing")
     assert given.joints.valid.all()
     np.testing.assert_allclose(np.delete(given.joints.value, 5, 0), np.delete(value, 5, 0), atol=1e-6)
 
@@ -246,6 +253,7 @@ def test_an_imus_samples_belong_to_the_scan_that_follows():
 
 
 UNIX = 1.7e9 + 0.1 * np.arange(1, 7)
+ONE = ring("root", 0.085, count=1, rows=2, columns=2)
 
 
 @pytest.mark.parametrize(
@@ -270,9 +278,48 @@ def test_streams_that_would_not_be_used_are_named(odometry, settings, free, mess
         "travel": still, "odom": still,
     }  # fmt: skip
     if free and not settings:
-        _, given, _ = slam_streams.measurements(SensorLog(streams), {}, robot, 4, "error")
+        _, given, _ = slam_streams.measurements(SensorLog(streams), {}, robot, ONE, "error")
         assert given.travel.valid.all()
         assert not given.turn.valid.any()
     with pytest.raises(InputError, match=message):
         wrong = streams | {"travel": still._replace(**odometry)}
-        slam_streams.measurements(SensorLog(wrong), settings, robot, 4, "error")
+        slam_streams.measurements(SensorLog(wrong), settings, robot, ONE, "error")
+
+
+@pytest.mark.parametrize(
+    ("name", "changed", "message"),
+    [
+        ("ranges", {"value": np.full((6, 4), 1500.0)}, "none of 24 values is within .* 24 beyond, 0 are .* in m"),
+        ("ranges", {"value": np.full((6, 4), np.nan)}, "none of 24 values is within .* 0 beyond, 24 are no number"),
+        ("joints", {"time": UNIX + 1000}, "stream of joints: covers 1700001000.1.* at any of the ranges' times"),
+    ],
+)
+def test_a_log_of_which_nothing_can_be_used_is_refused(name, changed, message):
+    robot = kinematics.load(rooms.structure(1))
+    streams = {
+        "ranges": Stream(UNIX, np.ones((6, 4)), "m"), "joints": Stream(UNIX, np.full((6, 1), 0.2), "rad"),
+    }  # fmt: skip
+    with pytest.raises(InputError, match=message):
+        slam_streams.measurements(
+            SensorLog(streams | {name: streams[name]._replace(**changed)}), {}, robot, ONE, "error"
+        )
+
+
+def test_what_a_run_did_not_use_is_told_and_too_much_of_it_refused(lift):
+    """FULL, NON_FINITE and OUT_OF_RANGE steps, links that only follow, points that fit nothing or find no room."""
+    assert slam_figures.refused(found(), 400) == []
+    none, full = found(inliers=np.zeros((2, 1))), found(overflow=[20, 100], status=[7, 7])
+    assert slam_figures.refused(none, 400) == ["no point fitted the map, so that nothing was learned"]
+    assert slam_figures.refused(full, 400)[0].startswith("25 % of the points found no room in the map")
+    assert not slam_figures.refused(full, 4000)
+    assert slam_figures.refused(found(status=[0, 4]), 400) == ["numbers outgrew the precision in 50 % of the steps"]
+    info, time = found(status=[1, 7], link_status=[[6, 4], [6, 5]]), np.arange(2.0)
+    joints, driven = slam_streams.encoded(lift), np.array([False, True])
+    rows = {(row.metric, row.condition): row.value for row in slam_figures.rows(time, joints, info, lift, driven)}
+    assert rows["steps flagged", "map full"] == rows["steps flagged", "not finite"] == 50
+    assert rows["steps, link kept its prediction", "arm"] == rows["steps, link lost", "arm"] == 50
+    assert rows["steps that the IMU drove", ""] == 100
+    streams = slam_figures.streams(time, joints, info, lift, driven)
+    np.testing.assert_array_equal(streams["status"].value, [1, 7])
+    np.testing.assert_array_equal(streams["link_status"].value, info.link_status)
+    np.testing.assert_array_equal(streams["driven"].value, driven)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxest.cli.methods import Outcome, Request, slam_figures, slam_streams
-from jaxest.cli.methods.slam_config import schema, sensors, told
+from jaxest.cli.methods.slam_config import options, schema, sensors, told
 from jaxest.cli.methods.slam_imu import driven
 from jaxest.io import SensorLog, clouds, to_si
 from jaxest.io.clouds import Cloud
@@ -35,10 +35,11 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
     Returns:
         Streams `joints` and `slides`, where there are such, each with `_bias` and `_deviation`, and for each body
-        `NAME/position` and `NAME/orientation`; the map is a PLY file beside the estimate.
+        `NAME/position` and `NAME/orientation`; of each step `status` and `link_status`, as `systems.slam.Info` has
+        them, and `driven` where there is an IMU; the map is a PLY file beside the estimate.
 
     Raises:
-        InputError: no robot, no sensor, streams that do not fit.
+        InputError: no robot, no sensor, streams that do not fit or of which nothing could be used.
     """
     import jax
 
@@ -52,13 +53,14 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     robot, placed = kinematics.load(request.robot), sensors(settings)
     imu = settings.get("imu")
     system, params = _system(robot, placed, settings)
-    time, given, free = slam_streams.measurements(log, settings, robot, rays(placed), request.nan)
+    time, given, free = slam_streams.measurements(log, settings, robot, placed, request.nan)
     if imu is not None:
         given = driven(log, settings, given)
     params = jax.tree.map(np.float32, params)
     state, info = run(system.step, params, system.init(params), given)
+    drove = None if imu is None else np.asarray(info.driven)
     if imu is not None:
-        state, info = state.inner, info.inner
+        state, info = state.inner, info.inner._replace(status=info.status)
     info = jax.tree.map(np.asarray, info)
     joints = slam_streams.encoded(robot)
     chart = np.asarray(state.chart.point)[: int(state.chart.used)].astype(float)
@@ -74,25 +76,21 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     unused = [name for name in slam_streams.ODOMETRY if imu is not None and name in log.streams]
     notes += [f"not used beside an IMU: {', '.join(unused)}"] if unused else []
     cloud = Cloud(chart, np.asarray(state.chart.total)[: len(chart), 3].astype(float))
-    found = SensorLog(slam_figures.streams(time, joints, info, robot), log.source)
-    rows = [*slam_figures.rows(time, joints, info, robot), *slam_figures.turns(state.mounts)]
-    return Outcome(found, rows, notes, slam_figures.refused(info), draw, {MAP: clouds.encoded(cloud, MAP)})
+    found = SensorLog(slam_figures.streams(time, joints, info, robot, drove), log.source)
+    rows = [*slam_figures.rows(time, joints, info, robot, drove), *slam_figures.turns(state.mounts)]
+    refused = slam_figures.refused(info, int(given.ranges.valid.sum()))
+    return Outcome(found, rows, notes, refused, draw, {MAP: clouds.encoded(cloud, MAP)})
 
 
 def _system(robot: Any, placed: Any, settings: Mapping[str, Any]) -> tuple[Any, Any]:
     """Return the estimator, with an IMU at a free root where the config names one, and its parameters."""
-    from jaxest.mapping import Hashed
     from jaxest.systems import slam, slam_inertial
 
-    given, imu = told(settings), settings.get("imu")
-    options: dict[str, Any] = {
-        "layout": Hashed(settings.get("voxel", 0.2)), "capacity": settings.get("capacity", 16384),
-        "points": settings.get("points", 128), "align": settings.get("align", False),
-    }  # fmt: skip
+    given, sizes, imu = told(settings), options(settings), settings.get("imu")
     if imu is None:
-        system = slam.build(robot, placed, **options)
+        system = slam.build(robot, placed, **sizes)
         return system, system.default_params._replace(**given)
-    system = slam_inertial.build(robot, placed, imu, **options)
+    system = slam_inertial.build(robot, placed, imu, **sizes)
     return system, system.default_params._replace(inner=system.default_params.inner._replace(**given))
 
 

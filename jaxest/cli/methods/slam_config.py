@@ -8,7 +8,7 @@ import numpy as np
 from jaxest.types import InputError
 
 WORDS = ("joints", "ranges", "travel_stream", "turn_stream", "imu", "gyroscope_stream", "accelerometer_stream")
-POSITIVE = ("noise", "gate")  # the other numbers may be 0
+POSITIVE = ("noise", "gate", "voxel")  # the other numbers may be 0
 
 
 def numbers() -> tuple[str, ...]:
@@ -31,12 +31,24 @@ def schema() -> dict[str, Any]:
 
 def told(settings: Mapping[str, Any]) -> dict[str, float]:
     """Return the parameters that a config sets; raises InputError for a number that no parameter can be."""
-    found = {name: float(settings[name]) for name in numbers() if name in settings}
-    for name, value in found.items():
-        least = "more than 0" if name in POSITIVE else "at least 0"
-        if not np.isfinite(value) or value < 0 or (value == 0 and name in POSITIVE):
-            raise InputError(f"[slam] {name}: got {value:g}, expected a finite number, {least}")
-    return found
+    return {name: _number(name, settings[name]) for name in numbers() if name in settings}
+
+
+def options(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what `systems.slam.build` is told beside robot and sensors; raises InputError for a size that is none."""
+    from jaxest.mapping import Hashed
+
+    return {
+        "layout": Hashed(_number("voxel", settings.get("voxel", 0.2))), "capacity": settings.get("capacity", 16384),
+        "points": settings.get("points", 128), "align": settings.get("align", False),
+    }  # fmt: skip
+
+
+def _number(name: str, value: float) -> float:
+    least = "more than 0" if name in POSITIVE else "at least 0"
+    if not np.isfinite(value) or value < 0 or (value == 0 and name in POSITIVE):
+        raise InputError(f"[slam] {name}: got {value:g}, expected a finite number, {least}")
+    return float(value)
 
 
 def sensors(settings: Mapping[str, Any]) -> list[Any]:
@@ -72,4 +84,4 @@ def sensors(settings: Mapping[str, Any]) -> list[Any]:
     return found
 
 
-__all__ = ["numbers", "schema", "sensors", "told"]
+__all__ = ["numbers", "options", "schema", "sensors", "told"]

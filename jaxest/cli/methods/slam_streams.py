@@ -1,6 +1,6 @@
 """What a log says to `--method slam`, a step a row of its ranges."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from jaxest.cli import truth
 from jaxest.cli.methods.deflection_joints import Joints
-from jaxest.io import SensorLog
+from jaxest.io import SensorLog, Stream
 from jaxest.io.log import refuse_nan, stream, where
 from jaxest.types import InputError, Reading, unknown_name
 
@@ -25,23 +25,22 @@ def encoded(robot: Any) -> Joints:
 
 
 def measurements(
-    log: SensorLog, settings: Mapping[str, Any], robot: Any, zones: int, nan: str
+    log: SensorLog, settings: Mapping[str, Any], robot: Any, placed: Sequence[Any], nan: str
 ) -> tuple[Any, Any, bool]:
     """Return times (T,), measurements and whether the root is free; one step a row of `ranges`.
 
     Raises:
-        InputError: a stream is not there or does not fit, or the config names one that would not be used.
+        InputError: a stream is not there or does not fit, none of its values can be used, or the config names one that
+            nothing would read.
     """
     from jaxest.systems import slam
 
     free = robot.topology.joint_kind[:1] == ("free",)
     _refuse_idle(settings, free)
     ranges = stream(log, settings.get("ranges", "ranges"))
+    reach, within = _ranges(ranges, placed, f"{where(log)}stream of ranges")
     joints = stream(log, settings.get("joints", "joints"))
     spot = where(log)
-    value = np.asarray(ranges.value, float).reshape(len(ranges.time), -1)
-    if value.shape[1] != zones:
-        raise InputError(f"{spot}stream of ranges has {value.shape[1]} columns, the config's sensors {zones} zones")
     wanted = encoded(robot)
     angles = np.asarray(joints.value, float).reshape(len(joints.time), -1)
     given = list(joints.names) or list(wanted.names)
@@ -55,15 +54,38 @@ def measurements(
         refuse_nan(joints, f"{spot}stream of joints", 'nan = "missing" in a config')
     at = truth.joints(joints, dict(enumerate(columns)), wanted.hinges, ranges.time)
     there = np.isfinite(at)
+    if wanted.names and not there.any():
+        (a, b), (c, d) = ((x.time[0], x.time[-1]) for x in (joints, ranges))
+        raise InputError(
+            f"{spot}stream of joints: covers {a:.3f} to {b:.3f} s and says nothing at any of the ranges' times, "
+            f"{c:.3f} to {d:.3f} s; expected times in common"
+        )
     dt = np.concatenate([[0.0], np.diff(ranges.time)]).astype(np.float32)
     fields: dict[str, Any] = {
-        "ranges": Reading(np.nan_to_num(value).astype(np.float32), np.isfinite(value)),
+        "ranges": Reading(reach, within),  # type: ignore[arg-type]
         "joints": Reading(np.where(there, at, 0).astype(np.float32), there),  # type: ignore[arg-type]
         "dt": dt,
     }
     if free:
         fields |= {name: _odometry(log, settings, name, ranges.time) for name in ODOMETRY}
     return ranges.time, (slam.Free if free else slam.Fixed)(**fields), free
+
+
+def _ranges(item: Stream, placed: Sequence[Any], spot: str) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Return ranges (T, R) m, and which of them are within their sensor's limits."""
+    value = np.asarray(item.value, float).reshape(len(item.time), -1)
+    each = [len(one.directions) for one in placed]
+    if value.shape[1] != sum(each):
+        raise InputError(f"{spot} has {value.shape[1]} columns, the config's sensors {sum(each)} zones")
+    low, high = (np.repeat(ends, each) for ends in zip(*((one.minimum, one.maximum) for one in placed), strict=True))
+    within = (value >= low) & (value <= high)
+    if not within.any():
+        below, above = int((value < low).sum()), int((value > high).sum())
+        raise InputError(
+            f"{spot}: none of {value.size} values is within its sensor's limits, {low.min():g} to {high.max():g} m: "
+            f"{below} are below, {above} beyond, {value.size - below - above} are no number; expected ranges in m"
+        )
+    return np.where(within, value, 0).astype(np.float32), within
 
 
 def _refuse_idle(settings: Mapping[str, Any], free: bool) -> None:
