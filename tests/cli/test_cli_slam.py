@@ -157,6 +157,11 @@ def test_an_imu_drives_a_free_root(tmp_path):
         slam.estimate(given, Request(settings, robot=robot))
 
 
+def single(**changed):
+    """Settings of one sensor."""
+    return {"sensors": {"a": {"frame": "root", "position": [0, 0, 0.1], "directions": [[0, 0, 1]], **changed}}}
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -169,6 +174,15 @@ def test_an_imu_drives_a_free_root(tmp_path):
         ({"rings": {"a": {"frame": "root"}}, "noise": 0.0}, r"\[slam\] noise: got 0, expected a finite .* more than 0"),
         ({"rings": {"a": {"frame": "root"}}, "voxel": 0.0}, r"\[slam\] voxel: got 0, expected a finite .* more than 0"),
         ({"rings": {"a": {"frame": "root"}}, "voxel": np.nan}, r"\[slam\] voxel: got nan, expected a finite"),
+        ({"rings": {"a": {"frame": "root"}}, "points": 0}, r"\[slam\] points: got 0, expected at least 1"),
+        ({"rings": {"a": {"frame": "root"}}, "capacity": 0}, r"\[slam\] capacity: got 0, expected at least 1"),
+        ({"rings": {"a": {"frame": "root"}}, "align": True}, r"\[slam\] align: is true without a tilt"),
+        ({"rings": {"a": {"frame": "root", "count": 0}}}, r"\[slam.rings.a\] count: got 0, expected at least 1"),
+        (single(directions=[[0, 0, 1, 1]]), r"\[slam.sensors.a\] directions: got \[0, 0, 1, 1\], expected a list of"),
+        (single(directions=[[0, 0, 1], [1, 0]]), r"\[slam.sensors.a\] directions: got .* expected a list of one or"),
+        (single(directions=["x", "y", "z"]), r"\[slam.sensors.a\] directions: got \['x', 'y', 'z'\], expected a list"),
+        (single(directions=[]), r"\[slam.sensors.a\] directions: got \[\], expected a list of one or more"),
+        (single(position=[0, 0]), r"\[slam.sensors.a\] position: got \[0, 0\], expected \[x, y, z\] in m"),
         ({"rings": {"a": {"frame": "root"}}, "swing": -1.0}, r"\[slam\] swing: got -1, expected a finite"),
         ({"rings": {"a": {"frame": "root"}}, "imu": "root"}, "imu 'root': the robot's root is fixed"),
     ],
@@ -226,6 +240,16 @@ def test_slides_are_told_in_metres_and_hinges_in_radians(lift):
             item = streams[name + part]
             assert (item.unit, item.names) == (unit, (joint,))
             np.testing.assert_array_equal(item.value[:, 0], value[:, column])
+
+
+def test_turns_are_those_of_sensors_that_there_are():
+    """Eight on one link and one on another, all turned alike: so is their mean."""
+    robot = kinematics.load(rooms.structure(1))
+    placed = [*ring("root", 0.085), *ring("link1", 0.085, count=1)]
+    turn = np.zeros((2, 8, 3))
+    turn[0, :, 0] = turn[1, 0, 0] = 0.05
+    rows = slam_figures.turns(SimpleNamespace(ring=np.zeros((2, 3)), turn=turn), placed, robot)
+    np.testing.assert_allclose([row.value for row in rows], np.rad2deg(0.05))
 
 
 def test_an_imus_samples_belong_to_the_scan_that_follows():

@@ -77,7 +77,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     notes += [f"not used beside an IMU: {', '.join(unused)}"] if unused else []
     cloud = Cloud(chart, np.asarray(state.chart.total)[: len(chart), 3].astype(float))
     found = SensorLog(slam_figures.streams(time, joints, info, robot, drove), log.source)
-    rows = [*slam_figures.rows(time, joints, info, robot, drove), *slam_figures.turns(state.mounts)]
+    rows = [*slam_figures.rows(time, joints, info, robot, drove), *slam_figures.turns(state.mounts, placed, robot)]
     refused = slam_figures.refused(info, int(given.ranges.valid.sum()))
     return Outcome(found, rows, notes, refused, draw, {MAP: clouds.encoded(cloud, MAP)})
 

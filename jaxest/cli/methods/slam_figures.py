@@ -1,5 +1,6 @@
 """What `--method slam` found: streams, figures, and why not to use it."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -80,11 +81,16 @@ def _percent(there: NDArray[np.bool_]) -> float:
     return 100 * float(np.mean(there)) if len(there) else 0.0
 
 
-def turns(mounts: Any) -> list[Row]:
+def turns(mounts: Any, placed: Sequence[Any], robot: Any) -> list[Row]:
     """Return how far sensors are found turned from where they are believed to look, where that was asked for."""
+    from jaxest.kinematics import frame
+
     if mounts is None:
         return []
+    bodies = [*range(len(robot.topology.body_names)), *robot.topology.site_body]
+    _, counts = np.unique([bodies[frame(robot, one.frame)] for one in placed], return_counts=True)
     angle = np.rad2deg(np.linalg.norm(np.asarray(mounts.ring)[:, None] + np.asarray(mounts.turn), axis=2))
+    angle = angle[np.arange(angle.shape[1]) < counts[:, None]]  # links with fewer sensors are filled up
     ends = ("mean", float(angle.mean())), ("largest", float(angle.max()))
     return [Row("turn of a sensor", which, value, "deg") for which, value in ends]
 
