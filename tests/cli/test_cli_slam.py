@@ -276,6 +276,34 @@ def test_an_imus_samples_belong_to_the_scan_that_follows():
         driven(later, {}, Free(None, None, None, None, np.full(4, 0.1)))
 
 
+@pytest.mark.parametrize(
+    ("gap", "blind"),
+    [
+        ((0.204, 0.714), [3, 4, 5, 6, 7, 8]),  # between two scans as a whole, and into a later one
+        ((0.25, 0.28), [3]),  # within one
+        ((-1.0, 0.55), [2, 3, 4, 5, 6]),  # before it begins
+        ((0.96, 2.0), [10, 11]),  # after it has ended
+        ((0.254, 0.264), []),  # one sample lost is none
+    ],
+)
+@pytest.mark.parametrize("lacking", ["both", "accelerometer"])
+def test_an_imus_gap_is_not_bridged(gap, blind, lacking):
+    """No sample stands for what was before it, and no scan is led to by samples of a part of the way."""
+    scans, time = 0.1 * np.arange(1, 12), 0.01 * np.arange(1, 111)
+    rest = time[(time <= gap[0]) | (time >= gap[1])]
+    gyroscope = rest if lacking == "both" else time
+    log = SensorLog({
+        "ranges": Stream(scans, np.ones((11, 2)), "m"),
+        "gyroscope": Stream(gyroscope, np.zeros((len(gyroscope), 3)), "rad/s"),
+        "accelerometer": Stream(rest, np.ones((len(rest), 3)), "m/s^2"),
+    })  # fmt: skip
+    given = driven(log, {}, Free(None, None, None, None, np.full(11, 0.1)))
+    there = given.gyroscope.valid & given.accelerometer.valid
+    whole = np.all(there | (given.spacing <= 0), axis=1) & np.any(given.spacing > 0, axis=1)
+    np.testing.assert_array_equal(1 + np.flatnonzero(~whole), [1, *blind])
+    np.testing.assert_allclose(given.spacing[whole].sum(1), 0.1, atol=1.1e-2)
+
+
 UNIX = 1.7e9 + 0.1 * np.arange(1, 7)
 ONE = ring("root", 0.085, count=1, rows=2, columns=2)
 
