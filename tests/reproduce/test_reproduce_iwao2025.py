@@ -29,6 +29,31 @@ if __name__ == "__main__":
 """
 
 
+SCANS = """
+import os, tempfile
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from jaxest.reproduce.iwao2025 import runs, table
+
+def scan(name, one, plan, work):
+    runs.scans(work, f"{plan.seed}").touch()
+    return {"mean": {"5": 0.0}}
+
+class Pool(ProcessPoolExecutor):
+    def __init__(self, workers, **options):
+        super().__init__(1, **options)
+
+    def submit(self, work, *job):
+        return super().submit(scan, *job)
+
+if __name__ == "__main__":
+    os.sched_getaffinity = lambda pid: {0, 1}
+    table.ProcessPoolExecutor = Pool
+    table.gathered(["5 links"], [runs.Plan(0, 1.0), runs.Plan(1, 1.0)], None, print)
+    print(len(list(Path(tempfile.gettempdir()).glob("jaxest-*/scans/?.npz"))))
+"""
+
+
 @pytest.fixture(scope="module")
 def work(tmp_path_factory):
     return tmp_path_factory.mktemp("iwao2025")
@@ -83,6 +108,16 @@ def test_turns_are_those_of_the_world():
     before = np.array([[[np.sqrt(0.5), np.sqrt(0.5), 0, 0]]])
     both = np.asarray(jax.vmap(jax.vmap(runs.quaternion.compose))(turned, before))
     np.testing.assert_allclose(runs._turned(both, before)[0, 0], [0, 0, angle], atol=1e-6)
+
+
+def test_scans_that_workers_keep_for_now_end_with_the_run(tmp_path):
+    (tmp_path / "parent.py").write_text(SCANS)
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    command = [sys.executable, str(tmp_path / "parent.py")]
+    told = subprocess.run(command, env={**os.environ, "TMPDIR": str(temporary)}, capture_output=True, text=True)
+    assert told.stdout.splitlines()[-1] == "2", told.stderr
+    assert not list(temporary.glob("jaxest-*"))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="kill -9 is POSIX")

@@ -51,12 +51,16 @@ class Made(NamedTuple):
 def scans(folder: Path | None, name: str) -> Path:
     """Return the file that keeps a simulation; without a folder it is kept until this run ends."""
     parent = multiprocessing.parent_process()
-    place = folder or _for_now(parent.pid if parent and parent.pid else os.getpid())
+    place = folder or for_now(parent.pid if parent and parent.pid else os.getpid())
     return pieces.folder(place / "scans", pieces.SIMULATION) / f"{name}.npz"
 
 
 @functools.cache
-def _for_now(owner: int) -> Path:
+def for_now(owner: int) -> Path:
+    """Return the folder of a run without one, named by the process `owner`, which takes it away at its end.
+
+    It does so if it has called this itself, whether or not its workers did.
+    """
     path = Path(tempfile.gettempdir()) / f"jaxest-iwao2025-{owner}"
     if owner == os.getpid():
         atexit.register(shutil.rmtree, path, ignore_errors=True)
@@ -227,4 +231,6 @@ def _read(path: Path) -> dict[str, Any]:
     return found
 
 
-__all__ = ["BIAS", "Found", "Made", "Plan", "estimated", "figures", "measurements", "nees", "result", "simulated"]
+__all__ = [
+    "BIAS", "Found", "Made", "Plan", "estimated", "figures", "for_now", "measurements", "nees", "result", "simulated",
+]  # fmt: skip

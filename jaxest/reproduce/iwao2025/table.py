@@ -55,6 +55,8 @@ def gathered(
             say(f"table 2: {job[0]}, room {job[2].seed} ({done + 1} of {len(jobs)})")
             found[job[0], job[2].seed] = runs.result(*job)
     else:
+        if work is None:
+            runs.for_now(os.getpid())
         # XLA's threads do not survive a fork.
         spawn = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(workers, mp_context=spawn, initializer=_as_worker) as pool:
