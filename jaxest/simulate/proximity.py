@@ -6,6 +6,7 @@ sensors would read without faults, which may be kept (`save`, `load`), and `corr
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 SIGMAS = 2.7
 """Standard deviations in `alpha r`. Source: Iwao 2025, section III."""
-HIDDEN = 5  # the group of geoms that rays pass through
 
 
 class Scan(NamedTuple):
@@ -60,7 +60,7 @@ def inside(
     source: Any, seed: int, *, duration: float = 60.0, dt: float = 0.1, amplitude: float = 0.35, hertz: float = 0.1,
     tries: int = 200,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
-    """Draw a motion of the hinges that touches nothing.
+    """Draw a motion of the hinges that touches nothing at any second sample, which is what is tried.
 
     Args:
         source: scene, MJCF text, file or model.
@@ -132,7 +132,7 @@ def crawl(
         start: s, until the commands have grown to their size.
 
     Returns:
-        Time (T,) s and q (T, nq), moved so that the root starts at the origin of its home.
+        Time (T,) s and q (T, nq), which begins where the structure came to rest, near the home of its root.
     """
     import mujoco
 
@@ -180,20 +180,19 @@ def cast(
         The scan.
 
     Raises:
-        InputError: a frame does not exist, or times are out of order.
+        InputError: a frame does not exist, times are out of order, or q has not a row for each.
     """
     import mujoco
 
     model = compiled(source)
-    data = mujoco.MjData(model)
+    if np.shape(q) != (len(time), model.nq):
+        raise InputError(f"q: got shape {np.shape(q)}, expected {(len(time), model.nq)}, a row for each time")
     if np.any(np.diff(time) <= 0):
         raise InputError(f"time: row {int(np.argmax(np.diff(time) <= 0)) + 1} is not later than the row before")
     placed = [_placed(model, one.frame) for one in sensors]
-    seen = np.ones(6, np.uint8)
     if not itself:
-        roots = {int(model.body_rootid[body]) for body, _ in placed}
-        model.geom_group[np.isin(model.body_rootid[model.geom_bodyid], list(roots))] = HIDDEN
-        seen[HIDDEN] = 0
+        model = _unseen(model, {int(model.body_rootid[body]) for body, _ in placed})
+    data = mujoco.MjData(model)
     late = np.broadcast_to(np.asarray(stagger, float), (len(sensors),))
     total = sum(len(one.directions) for one in sensors)
     found = np.full((len(time), total), np.inf, np.float32)
@@ -214,10 +213,18 @@ def cast(
             distance = np.empty(count)
             away = np.ascontiguousarray(one.directions @ matrix.T).ravel()
             mujoco.mj_multiRay(
-                model, data, origin, away, seen, True, -1, hit[:count], distance, None, count, 2 * one.maximum
+                model, data, origin, away, None, True, -1, hit[:count], distance, None, count, 2 * one.maximum
             )
             found[step, starts[s] : starts[s + 1]] = np.where(hit[:count] >= 0, distance, np.inf)
     return Scan(np.asarray(time, float), np.asarray(q, float), found)
+
+
+def _unseen(model: mujoco.MjModel, roots: set[int]) -> mujoco.MjModel:
+    """Return a copy of a model in which trees of bodies are invisible, which MuJoCo's rays pass through."""
+    found = copy.copy(model)
+    own = np.isin(found.body_rootid[found.geom_bodyid], list(roots))
+    found.geom_matid[own], found.geom_rgba[own, 3] = -1, 0
+    return found
 
 
 def _between(model: Any, q: NDArray[np.float64], time: NDArray[np.float64], step: int, late: float) -> Any:

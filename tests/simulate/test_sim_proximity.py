@@ -86,6 +86,20 @@ def test_noise_bias_and_dropouts_are_as_stated(scan):
     assert not proximity.corrupt(scan, short, faults, 0)[1][scan.ranges > 1.1].any()
 
 
+def test_rays_pass_through_the_robot_alone_and_its_model_stays_as_it_is():
+    """Whatever the group or material of a wall is, it is met; the robot's own shapes are where that is asked for."""
+    model = mujoco.MjModel.from_xml_string("""<mujoco><asset><material name="blue" rgba="0 0 1 1"/></asset><worldbody>
+    <geom type="box" pos="0 0 1.05" size="1 1 .05" group="5"/><body name="b"><joint/>
+    <geom size=".03" pos="0 0 .2" group="2" material="blue"/></body></worldbody></mujoco>""")
+    before = model.geom_group.copy(), model.geom_matid.copy(), model.geom_rgba.copy()
+    up = [Proximity("b", np.array([0, 0, 0.05]), np.array([[0, 0, 1.0]]))]
+    q, time = np.zeros((1, 1)), np.zeros(1)
+    np.testing.assert_allclose(proximity.cast(model, up, q, time).ranges, 0.95, atol=1e-6)
+    for left, now in zip(before, (model.geom_group, model.geom_matid, model.geom_rgba), strict=True):
+        np.testing.assert_array_equal(left, now)
+    np.testing.assert_allclose(proximity.cast(model, up, q, time, itself=True).ranges, 0.12, atol=1e-6)
+
+
 def test_late_sensors_see_the_past():
     """A sensor a whole sample late reads what a prompt one read the sample before."""
     scene = rooms.scene(LINKS, rooms.room(3, reach=1.0))
@@ -140,6 +154,8 @@ def test_bad_input_is_named():
         proximity.cast(scene, ring("lonk1", 0.1), q, np.arange(3.0))
     with pytest.raises(InputError, match="time: row 2 is not later"):
         proximity.cast(scene, ring("link1", 0.1), q, np.array([0.0, 0.1, 0.1]))
+    with pytest.raises(InputError, match=r"q: got shape \(3, 3\), expected \(2, 3\)"):
+        proximity.cast(scene, ring("link1", 0.1), q, np.arange(2.0))
     with pytest.raises(InputError, match="links: 0"):
         rooms.structure(0)
     with pytest.raises(InputError, match="zones: 0 x 8"):
