@@ -29,7 +29,7 @@ NAMES = ("x", "y", "z")
 
 
 def fig4(choice: Choice, say: Say) -> Section:
-    """Let one motion on the ground be seen with other noise each time.
+    """Let one motion on the ground be seen with other noise of ranges each time; an IMU reads the same in all runs.
 
     Source: Iwao 2025, fig. 4, with 100 runs.
     """

@@ -53,7 +53,7 @@ def fig2(choice: Choice, say: Say) -> Section:
 
 
 def _blind_map(one: Condition, plan: runs.Plan, made: runs.Made) -> np.ndarray:
-    """Return the last scans' points (n, 3) m placed by encoders alone."""
+    """Return points (n, 3) m of some twelve scans over the whole run, placed by encoders alone."""
     import jax
 
     from jaxest.systems import _slam_body as bodies
