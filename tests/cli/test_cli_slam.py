@@ -147,9 +147,11 @@ def test_an_imu_drives_a_free_root(tmp_path):
            for (k, v), u in zip(still.items(), ("rad/s", "m/s^2"), strict=True)}  # fmt: skip
     settings = {**tomllib.loads(ALIGNED)["slam"], "align": False, "imu": "root", "gyroscope_stream": "spin",
                 "accelerometer_stream": "force"}  # fmt: skip
-    outcome = slam.estimate(SensorLog({**given.streams, **imu}), Request(settings, robot=robot))
+    wheels = Stream(given.streams["ranges"].time, np.zeros((6, 3)), "m")
+    outcome = slam.estimate(SensorLog({**given.streams, **imu, "travel": wheels}), Request(settings, robot=robot))
     assert not outcome.refused
     assert "the root is free, driven by an IMU" in outcome.notes[0]
+    assert outcome.notes[1] == "not used beside an IMU: travel"
     place = outcome.estimate.streams["root/position"].value
     assert np.abs(place - place[0]).max() < 0.03
     assert outcome.estimate.streams["driven"].value[1:].all()
