@@ -16,7 +16,7 @@ from jaxest.io.report import Row
 from jaxest.sensors.proximity import ring
 from jaxest.simulate import proximity, rooms
 from jaxest.systems.slam import Free
-from jaxest.types import InputError
+from jaxest.types import FOLLOWS, LOST, UNSEEN, InputError
 
 CONFIG = """
 [slam]
@@ -367,7 +367,8 @@ def test_what_a_run_did_not_use_is_told_and_too_much_of_it_refused(lift):
     assert slam_figures.refused(full, 400)[0].startswith("25 % of the points found no room in the map")
     assert not slam_figures.refused(full, 4000)
     assert slam_figures.refused(found(status=[0, 4]), 400) == ["numbers outgrew the precision in 50 % of the steps"]
-    info, time = found(status=[1, 7], link_status=[[6, 4], [6, 5]]), np.arange(2.0)
+    fared = [[UNSEEN, FOLLOWS], [UNSEEN, LOST]]
+    info, time = found(status=[1, 7], link_status=fared), np.arange(2.0)
     joints, driven = slam_streams.encoded(lift), np.array([False, True])
     rows = {(row.metric, row.condition): row.value for row in slam_figures.rows(time, joints, info, lift, driven)}
     assert rows["steps flagged", "map full"] == rows["steps flagged", "not finite"] == 50
