@@ -49,15 +49,39 @@ def commands(page):
             yield words
 
 
+def check(command, words):
+    """Let a command read its words, without running: an unknown option raises, what it needs must be there.
+
+    Without its arguments a command is only spoken of, and needs nothing.
+    """
+    given, left, _ = command.make_parser(command.context_class(command)).parse_args([*words])
+    there = {name for name, value in given.items() if value}
+    assert not left, words
+    if any(entry.param_type_name == "argument" and entry.name in there for entry in command.params):
+        assert {entry.name for entry in command.params if entry.required} <= there, words
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["log.npz", "--config", "tuned.toml"], "'method'"),
+        (["log.npz", "-m", "orientation", "--gain", "1"], "No such option: --gain"),
+        (["log.npz", "other.npz", "-m", "orientation"], r"not \['other.npz'\]"),
+    ],
+    ids=["required option", "unknown option", "one argument too many"],
+)
+def test_a_command_that_would_fail_is_found(words, said):
+    with pytest.raises(Exception, match=said):
+        check(typer.main.get_command(app).commands["estimate"], words)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_in_the_documentation_exist(page):
     known = typer.main.get_command(app).commands
     paper = ""
     for words in commands(page.read_text()):
         if words[0] in known:
-            options = {name for option in known[words[0]].params for name in option.opts}
-            wrong = [word for word in words if word.startswith("-") and word not in options]
-            assert not wrong, words
+            check(known[words[0]], words[1:])
         if words[0] == "reproduce" and words[1] in reproduce.PAPERS:
             paper = words[1]
         parts = [words[i + 1] for i, word in enumerate(words) if word == "--part"]
