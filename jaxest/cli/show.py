@@ -19,14 +19,14 @@ LONGEST = 240  # pictures of a GIF
 
 @command
 def run(
-    estimate: Annotated[Path, typer.Argument(help="What `estimate` wrote: its folder, or a log with joint angles.")],
+    estimate: Annotated[Path, typer.Argument(help="Folder of `estimate`, or LOG or LOG:STREAM with joint angles.")],
     robot: Annotated[Path, typer.Option("--robot", "-r", help="Robot (MJCF, URDF).")],
     out: Annotated[Path, typer.Option("--out", "-o", help="FILE.gif, FILE.png (the last posture) or FILE.rrd.")],
     beside: Annotated[
         str | None, typer.Option(help="LOG or LOG:STREAM with joint angles of a second robot, in red: encoders, truth.")
     ] = None,
     config: Annotated[
-        Path | None, typer.Option("--config", "-c", help="How the log of --beside is read: a TOML with [columns].")
+        Path | None, typer.Option("--config", "-c", help="How the log of --beside is read: a TOML with \\[columns].")
     ] = None,
     cloud: Annotated[
         Path | None, typer.Option("--map", help="Points of a map (PLY, PCD), for .rrd; else that of the folder.")
@@ -54,11 +54,11 @@ def run(
     if out.suffix.lower() not in (*animation.SUFFIXES, ".rrd"):
         raise bad_input(f"{out}: expected a name that ends in {', '.join(animation.SUFFIXES)} or .rrd")
     model = kinematics.load(robot)
-    source = estimate / "estimate.npz" if estimate.is_dir() else estimate
-    log = io.read(source)
-    if cloud is None and (estimate / MAP).is_file():
-        cloud = estimate / MAP
-    joints = _stream(log, next((name for name in ("joints", "slides") if name in log.streams), None))
+    source, name = _parted(str(estimate))
+    if cloud is None and (source / MAP).is_file():
+        cloud = source / MAP
+    log = io.read(source / "estimate.npz" if source.is_dir() else source)
+    joints = _stream(log, name or next((kind for kind in ("joints", "slides") if kind in log.streams), None))
     stamps = np.arange(joints.time[0], joints.time[-1] + 1e-9, 1 / rate)
     if out.suffix.lower() == ".gif":
         stamps = stamps[:: max(1, -(-len(stamps) // LONGEST))]
@@ -81,6 +81,12 @@ def run(
     return Answer()
 
 
+def _parted(given: str) -> tuple[Path, str | None]:
+    """Part LOG:STREAM; a file whose own name has a colon stays whole."""
+    path, _, name = given.rpartition(":") if not Path(given).exists() else ("", "", "")
+    return (Path(path), name) if path else (Path(given), None)
+
+
 def _stream(log: Any, name: str | None) -> Any:
     """The stream of joint angles of that name, or the only one that names joints."""
     from jaxest.types import unknown_name
@@ -88,7 +94,8 @@ def _stream(log: Any, name: str | None) -> Any:
     if name is None:
         named = [key for key, item in log.streams.items() if item.names and item.unit == "rad" and item.value.ndim == 2]
         if len(named) != 1:
-            raise bad_input(f"{log.source}: {len(named)} streams of joint angles, expected one; name it: LOG:STREAM")
+            found = f"{len(named)} streams of joint angles{': ' if named else ''}{', '.join(named)}"
+            raise bad_input(f"{log.source}: {found}; expected one, or its name behind the file's: LOG:STREAM")
         name = named[0]
     if name not in log.streams:
         raise unknown_name("stream", name, log.streams)
@@ -149,9 +156,9 @@ def _beside(robot: Any, given: str, stamps: Any, config: Path | None) -> Any:
     from jaxest import io
     from jaxest.cli import settings
 
-    path, _, name = given.rpartition(":") if ":" in given and not Path(given).exists() else (given, "", "")
+    path, name = _parted(given)
     log = io.read(path, settings.load(config).columns)
-    joints = _stream(log, name or None)
+    joints = _stream(log, name)
     rows = np.clip(np.searchsorted(joints.time, stamps), 0, len(joints.time) - 1)
     return configurations(robot, log, joints, rows)
 

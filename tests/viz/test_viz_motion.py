@@ -110,8 +110,8 @@ def estimated(tmp_path):
     return tmp_path
 
 
-def show(folder, *words):
-    return CliRunner().invoke(app, ["show", str(folder / "out"), "--robot", str(ARM), *map(str, words)])
+def show(folder, *words, what="out"):
+    return CliRunner().invoke(app, ["show", str(folder / what), "--robot", str(ARM), *map(str, words)])
 
 
 def test_show_renders_an_estimate(estimated):
@@ -120,6 +120,19 @@ def test_show_renders_an_estimate(estimated):
     assert result.exit_code == 0, result.output
     with Image.open(estimated / "a.png") as picture:
         assert picture.size == (480, 360)
+
+
+def test_a_stream_is_named_behind_its_log(estimated, monkeypatch):
+    drawn = {}
+    monkeypatch.setattr(animation, "draw", lambda out, robot, q, **options: drawn.update(q=q, **options))
+    both = {key: Stream(np.arange(6) / 10, motion() + more, "rad", names=NAMES) for key, more in (("a", 0), ("b", 1))}
+    write(SensorLog(both), estimated / "two.npz")
+    where = f"{estimated / 'two.npz'}:a"
+    assert show(estimated, "-o", estimated / "a.gif", "--beside", where, what="two.npz:b").exit_code == 0
+    np.testing.assert_allclose(drawn["q"], drawn["beside"] + 1)
+    result = show(estimated, "-o", estimated / "a.gif", what="two.npz")
+    assert result.exit_code == 2
+    assert "2 streams of joint angles: a, b; expected one" in result.output
 
 
 def test_a_free_root_is_where_its_body_was_found_and_a_slide_where_it_went():
