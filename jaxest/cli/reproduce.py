@@ -57,11 +57,11 @@ def run(
     if show:
         console().print("\n".join(known))
         return Answer()
-    names = tuple(part or known)
-    folder = _folder(out, [f"{name}.png" for name in names], force) if out else None
     choice = reproduce.Choice(seed, small, runs, tuple(row or ()), setting, broad, work)
+    names = tuple(part or reproduce.possible(paper, choice))
+    folder = _folder(out, [f"{name}.png" for name in names], force) if out else None
     rows: list[Row] = []
-    drawn = False
+    drawn: list[str] = []
     begun = time.perf_counter()
     with working(f"{paper} ...") as say:
         for section in reproduce.sections(paper, names, choice=choice, say=say):
@@ -69,13 +69,19 @@ def run(
             if folder and section.draw:
                 folder.mkdir(parents=True, exist_ok=True)
                 section.draw(folder / f"{section.name}.png")
-                drawn = True
+                drawn.append(section.name)
             if not json:
-                console().print(figures(section.rows, section.title))
+                console().print(figures(section.rows, section.title) if section.rows else f"{section.title}\n")
     rows.append(Row("run time", "compilation included", time.perf_counter() - begun, "s"))
     if json:
         return Answer(to_json(report(paper, rows)))
     note(f"{paper}: {len(names)} parts in {rows[-1].value:.0f} s" + (f"; pictures in {folder}" if drawn else ""))
+    bare = [name for name in names if folder and name not in drawn]
+    if bare:
+        note(f"no picture of {', '.join(bare)}: figures only")
+    left = [name for name in known if not part and name not in names]
+    if left:
+        note(f"left out, without the folder that it needs: {', '.join(left)}; `--part {left[0]}` says which")
     return Answer()
 
 

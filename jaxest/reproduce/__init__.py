@@ -3,7 +3,8 @@
 `parts(paper)` names what a paper has, `sections(paper)` computes it, one `Section` after the other. Each paper is a
 subpackage here with a table `PARTS`.
 
-A paper whose parts take more than a seed says so in a tuple `TAKES` of the names of `Choice`'s fields.
+A paper whose parts take more than a seed says so in a tuple `TAKES` of the names of `Choice`'s fields, and in a mapping
+`NEEDS` which part cannot do without which folder among them.
 
 Host side only. Not here: the estimators themselves (`jaxest.systems`), timings (`jaxest.bench`), and the command
 (`jaxest.cli.reproduce`).
@@ -91,6 +92,25 @@ def parts(paper: str) -> Mapping[str, Part]:
     return found
 
 
+def possible(paper: str, choice: Choice) -> tuple[str, ...]:
+    """Return the names of a paper's parts that nothing is missing for, in its order.
+
+    Args:
+        paper: one of `PAPERS`.
+        choice: what is given.
+
+    Raises:
+        InputError: an unknown paper.
+    """
+    return tuple(name for name in parts(paper) if _missing(paper, name, choice) is None)
+
+
+def _missing(paper: str, part: str, choice: Choice) -> str | None:
+    """The folder that a part needs and that is not given."""
+    field: str | None = getattr(importlib.import_module(PAPERS[paper]), "NEEDS", {}).get(part)
+    return field if field and getattr(choice, field) is None else None
+
+
 def sections(
     paper: str, names: Sequence[str] = (), *, choice: Choice | None = None, say: Say | None = None
 ) -> Iterator[Section]:
@@ -98,7 +118,7 @@ def sections(
 
     Args:
         paper: one of `PAPERS`.
-        names: which of its parts; all if empty.
+        names: which of its parts; all that are `possible` if empty.
         choice: seed and size.
         say: told what is being computed.
 
@@ -106,7 +126,7 @@ def sections(
         One section after the other.
 
     Raises:
-        InputError: no such paper or part, or a choice that the paper does not take.
+        InputError: no such paper or part, a choice that the paper does not take, or a named part without its folder.
     """
     known = parts(paper)
     for name in names:
@@ -114,7 +134,11 @@ def sections(
             raise unknown_name(f"part of {paper}", name, known)
     choice = choice or Choice()
     _check(paper, choice)
-    for name in names or known:
+    for name in names:
+        field = _missing(paper, name, choice)
+        if field:
+            raise InputError(f"--part {name}: got no folder, expected --{field} FOLDER")
+    for name in names or possible(paper, choice):
         tell = say or (lambda message: None)
         tell(f"{paper}: {name} ...")
         yield known[name](choice, tell)
@@ -131,4 +155,4 @@ def _check(paper: str, choice: Choice) -> None:
         raise InputError(f"--runs: got {choice.runs}, expected at least 1")
 
 
-__all__ = ["APART", "COMMON", "PAPERS", "Choice", "Part", "Say", "Section", "parts", "sections", "seed_of"]
+__all__ = ["APART", "COMMON", "PAPERS", "Choice", "Part", "Say", "Section", "parts", "possible", "sections", "seed_of"]

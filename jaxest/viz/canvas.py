@@ -1,10 +1,11 @@
 """What all pictures share: matplotlib off screen, files that are whole or not there, plain axes, colours."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from jaxest.files import replacing
+from jaxest.io.report import Row
 
 BLUE, RED, GREEN, ORANGE, GREY = "#1f4e79", "#d1495b", "#3a7d44", "#e08e45", "0.45"
 
@@ -63,6 +64,32 @@ def plain(axis: Any, **labels: str) -> Any:
     return axis
 
 
+def bars(path: str | Path, rows: Sequence[Row], title: str = "") -> None:
+    """Write rows of one unit as bars, each above that of its reference.
+
+    Args:
+        path: file to write, replaced if it exists.
+        rows: at least one; named by their metrics, or by their conditions where the metric is one.
+        title: line above them.
+    """
+    several = len({row.metric for row in rows}) > 1
+    names = [row.metric if several else row.condition for row in rows]
+    references = sorted({row.reference_name or "reference" for row in rows if row.reference is not None})
+
+    def paint(figure: Any) -> None:
+        axis = plain(figure.subplots(), xlabel=f"{'' if several else rows[0].metric} [{rows[0].unit}]".strip())
+        for i, row in enumerate(rows):
+            axis.barh(i, row.value or 0, -0.38, xerr=row.spread, align="edge", color=BLUE)
+            axis.barh(i, row.reference or 0, 0.38, align="edge", color=ORANGE)
+        axis.set_yticks(range(len(rows)), names)
+        axis.invert_yaxis()
+        if references:
+            kinds = {"jaxest": BLUE, " or ".join(references): ORANGE}
+            axis.legend([axis.barh(0, 0, color=c) for c in kinds.values()], list(kinds), frameon=False, fontsize=8)
+
+    save(path, (8, 1.2 + 0.4 * len(rows)), paint, title)
+
+
 def logarithmic(axis: Any) -> None:
     """Make the y axis logarithmic, with plain numbers at 1, 2 and 5 of each decade."""
     axis.set_yscale("log")
@@ -78,4 +105,4 @@ def legend(figure: Any, axis: Any, **options: Any) -> None:
     )
 
 
-__all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "RED", "legend", "logarithmic", "plain", "save", "sheet", "write"]
+__all__ = ["BLUE", "GREEN", "GREY", "ORANGE", "RED", "bars", "legend", "logarithmic", "plain", "save", "sheet", "write"]

@@ -28,7 +28,17 @@ def test_pictures_are_spoken_of_where_there_are_any(invoke, monkeypatch, tmp_pat
     monkeypatch.setattr(reproduce, "sections", lambda *_, **__: [reproduce.Section("fig2", "title", [], draw)])
     result = invoke("reproduce", "sato2023", "--part", "fig2", "-o", "pictures")
     assert result.exit_code == 0, result.output
+    assert "title" in result.stdout  # also where there are no figures under it
+    assert ("no picture of fig2" in result.stderr) == (draw is None)
     assert ("pictures in pictures" in result.stderr) == (tmp_path / "pictures" / "fig2.png").exists() == bool(draw)
+
+
+def test_what_needs_a_folder_is_left_out_of_all_and_said(invoke, monkeypatch, tmp_path):
+    asked = []
+    monkeypatch.setattr(reproduce, "sections", lambda paper, names, **_: asked.append(names) or [])
+    assert "left out, without the folder that it needs: broad" in invoke("reproduce", "santaera2015").stderr
+    assert "left out" not in invoke("reproduce", "santaera2015", "--broad", tmp_path).stderr
+    assert [("broad" in names) for names in asked] == [False, True]
 
 
 def test_parts_are_named(invoke):
@@ -45,6 +55,7 @@ def test_parts_are_named(invoke):
         (("sato2032",), "sato2023"),
         (("kalman1960",), "known: sato2023, sato2024"),
         (("sato2023", "--part", "fig22"), "fig2"),
+        (("santaera2015", "--part", "broad"), "--part broad: got no folder, expected --broad FOLDER"),
         (("sato2023", "--runs", "3"), "--runs: sato2023 has no such choice; it takes --seed, --small"),
     ],
 )

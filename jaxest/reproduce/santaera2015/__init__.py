@@ -20,5 +20,6 @@ PARTS: Mapping[str, Part] = {
 """By the name that `--part` takes."""
 
 TAKES = ("runs", "broad", "work")
+NEEDS = {"broad": "broad"}
 
-__all__ = ["PARTS", "TAKES"]
+__all__ = ["NEEDS", "PARTS", "TAKES"]

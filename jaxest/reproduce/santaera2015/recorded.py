@@ -3,18 +3,19 @@
 from jaxest.bench import broad as benchmark
 from jaxest.io.report import Row
 from jaxest.reproduce import Choice, Say, Section
+from jaxest.viz import canvas
 
 
 def broad(choice: Choice, say: Say) -> Section:
-    """Measure all filters on the folder of `--broad`; without one there is nothing to measure.
+    """Measure all filters on the folder of `--broad`.
 
     Source: Laidig, Caruso, Cereatti, Seel 2021 (BROAD); Laidig, Seel 2023 (VQF).
     """
-    if choice.broad is None:
-        say("broad: left out, name the trials' folder with --broad")
-        return Section("broad", "BROAD: left out, name the trials' folder with --broad", [])
+    assert choice.broad is not None  # `NEEDS` says so
     rows: list[Row] = list(benchmark.rows(choice.broad, progress=lambda message: say(message)))
-    return Section("broad", "BROAD: mean RMSE over the trials of each group", rows)
+    title = "BROAD: mean RMSE over the trials of each group"
+    whole = [row for row in rows if row.condition == "all"]
+    return Section("broad", title, rows, lambda path: canvas.bars(path, whole, "BROAD: mean RMSE over all trials"))
 
 
 __all__ = ["broad"]

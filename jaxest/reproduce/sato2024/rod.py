@@ -198,7 +198,9 @@ def noise(choice: Choice, say: Say) -> Section:
         rows.append(Row("half width chosen, median", condition, float(np.median(widths)), "1", n=runs))
         theirs = off(_live(params(), many, **PAPER), truth.position, truth.quaternion)
         rows += _rows(f"{condition}, the paper's window (N = 3, M = 5)", theirs)
-    return Section("noise", "The rod of 200 mm, 40 s at 100 Hz", rows)
+    title = "The rod of 200 mm, 40 s at 100 Hz"
+    placed = [row for row in rows if row.metric == "position error, median"]
+    return Section("noise", title, rows, lambda path: canvas.bars(path, placed, title))
 
 
 def motion(choice: Choice, say: Say) -> Section:

@@ -31,7 +31,9 @@ def baselines(choice: Choice, say: Say) -> Section:
         found = runs.chosen(name, choice, say, count=16 if choice.small else count, iterations=ITERATIONS)
         rows += health(found, f"{name}, N = {count}")
         rows += [row._replace(condition=name) for row in tau_rows(found, (), "") if row.metric == "mean torque error"]
-    return Section("baselines", f"The paper's samplers, 4 chains of {ITERATIONS} iterations", rows)
+    title = f"The paper's samplers, 4 chains of {ITERATIONS} iterations"
+    moved = [row for row in rows if row.metric.startswith("path update rate")]
+    return Section("baselines", title, rows, lambda path: canvas.bars(path, moved, title))
 
 
 def starts(choice: Choice, say: Say) -> Section:
@@ -48,8 +50,9 @@ def starts(choice: Choice, say: Say) -> Section:
         rows.append(
             Row(f"tau{j + 1}: farthest chain's mean", "in posterior sd", float(np.abs(away).max()), "1", n=STARTS)
         )
-    rows += health(found, f"mh, {STARTS} far starts")
-    return Section("starts", f"Particle Metropolis-Hastings from {STARTS} far starts", rows)
+    title = f"Particle Metropolis-Hastings from {STARTS} far starts"
+    checked = [*rows, *health(found, f"mh, {STARTS} far starts")]
+    return Section("starts", title, checked, lambda path: canvas.bars(path, rows, f"{title}, in posterior sd"))
 
 
 def particles(choice: Choice, say: Say) -> Section:
@@ -121,7 +124,9 @@ def accuracy(choice: Choice, say: Say) -> Section:
             covered.append((low <= TORQUE) & (high >= TORQUE))
             spread.append(100 * sd / TORQUE)
         rows += _accuracy_rows(sampler, paper, np.array(error), np.array(z), np.array(covered), np.array(spread))
-    return Section("accuracy", f"{count} data sets, {setting}", rows)
+    title = f"{count} data sets, {setting}"
+    errors = [row for row in rows if row.metric == "mean torque error"]
+    return Section("accuracy", title, rows, lambda path: canvas.bars(path, errors, title))
 
 
 def _accuracy_rows(
