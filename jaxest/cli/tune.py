@@ -85,8 +85,7 @@ def run(
     from jaxest.io.report import report
 
     targets = _targets(out, force)
-    if method not in tunable.TUNABLE:
-        raise tunable.unknown_name("method", method, tunable.TUNABLE)
+    tunable.known(method)
     chosen, given = _prepare(logs, truth, method, robot, config, objective, free)
     if held_out >= len(given.recordings):
         raise bad_input(f"--held-out {held_out}: got {len(logs)} logs, expected at least one to tune on")

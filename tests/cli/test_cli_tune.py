@@ -105,4 +105,6 @@ def test_bad_requests(refused, files, words, said):
 
 def test_bad_method(refused, files):
     assert "'orientation'" in refused("tune", "0.npz", "-m", "orientaton", "-o", "x.toml")
+    said = refused("tune", "0.npz", "-m", "posture", "-o", "x.toml")
+    assert "the method 'posture' cannot be tuned, expected orientation, deflection, onsite or torque" in said
     assert "--robot" in refused("tune", "0.npz", "-m", "deflection", "-o", "x.toml")

@@ -8,7 +8,7 @@ import importlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from jaxest.cli.methods import Request
+from jaxest.cli.methods import METHODS, Request
 from jaxest.io import SensorLog
 from jaxest.types import InputError, unknown_name
 
@@ -47,6 +47,22 @@ class Tunable(NamedTuple):
     dtype: Any
 
 
+def known(method: str) -> None:
+    """Refuse a method that cannot be tuned.
+
+    Args:
+        method: as typed.
+
+    Raises:
+        InputError: there is no such method, or it has no tuning.
+    """
+    if method in METHODS and method not in TUNABLE:
+        *others, last = TUNABLE
+        raise InputError(f"the method {method!r} cannot be tuned, expected {', '.join(others)} or {last}")
+    if method not in TUNABLE:
+        raise unknown_name("method", method, TUNABLE)
+
+
 def prepare(
     method: str, sources: Sequence[Source], request: Request, goal: str, free: Mapping[str, str | None]
 ) -> Tunable:
@@ -65,8 +81,7 @@ def prepare(
     Raises:
         InputError: a name is unknown, or the logs cannot be used.
     """
-    if method not in TUNABLE:
-        raise unknown_name("method", method, TUNABLE)
+    known(method)
     if goal and goal not in GOALS:
         raise unknown_name("objective", goal, GOALS)
     return importlib.import_module(TUNABLE[method]).prepare(sources, request, goal, free)
@@ -93,4 +108,4 @@ def refuse_goal(method: str, goal: str, possible: str) -> InputError:
     return InputError(f"--objective {goal}: the method {method!r} is tuned by {possible}")
 
 
-__all__ = ["GOALS", "TUNABLE", "Source", "Tunable", "constrained", "plain", "prepare", "refuse_goal", "unknown_name"]
+__all__ = ["GOALS", "TUNABLE", "Source", "Tunable", "constrained", "known", "plain", "prepare", "refuse_goal"]
