@@ -1,5 +1,6 @@
 """Documentation site: `pip install -e '.[docs]' && sphinx-build docs OUT`; needs no network."""
 
+import importlib
 import re
 import shutil
 import sys
@@ -10,7 +11,7 @@ import jaxest
 
 project, author, release = "jaxest", "the jaxest developers", jaxest.__version__
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode", "myst_nb"]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "config_keys.md"]
 html_theme = "furo"
 html_title = "jaxest"
 nb_execution_mode = "off"  # notebooks carry their results; tests run them
@@ -37,6 +38,26 @@ def messages() -> None:
     rows = [f"| `{m.place}` | {m.text.replace('|', chr(92) + '|').replace(chr(10), ' ')} |" for m in found()]
     head = ["# Messages", "", "What is said of bad input; `{...}` is filled in.", "", "| where | what |", "|---|---|"]
     (here / "messages.md").write_text("\n".join([*head, *rows]) + "\n")
+
+
+def keys() -> None:
+    """Write the table of all keys of a config."""
+    from jaxest.cli.methods import METHODS
+
+    words = {str: "text", int: "whole number", float: "number", bool: "true or false", list: "list"}
+    rows = ["| table | key | takes |", "|---|---|---|"]
+
+    def walk(table: str, schema: Any) -> None:
+        for key, kind in schema.items():
+            if isinstance(kind, dict):
+                walk(f"{table}.{key.replace('*', 'NAME')}", kind)
+            else:
+                takes = dict.fromkeys(words[one] for one in (kind if isinstance(kind, tuple) else (kind,)))
+                rows.append(f"| `[{table}]` | `{key.replace('*', 'NAME')}` | {', '.join(takes)} |")
+
+    for method, module in METHODS.items():
+        walk(method, importlib.import_module(module).schema())
+    (here / "config_keys.md").write_text("\n".join(rows) + "\n")
 
 
 CODE = re.compile(r"(``[^`]*``|`(?:[^`\n]|\n(?!\s*\n))*`)")
@@ -76,3 +97,4 @@ def setup(app: Any) -> None:
 
 
 messages()
+keys()

@@ -11,7 +11,9 @@ import pytest
 import typer.main
 
 from jaxest import reproduce
+from jaxest.cli import settings
 from jaxest.cli.app import app
+from jaxest.cli.methods import METHODS, deflection_config
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -37,6 +39,16 @@ def test_the_python_example_runs(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert len(re.findall(r"-?\d\.\d+", done.stdout)) >= 4 + 9
+
+
+def test_configs_in_the_documentation_are_taken(tmp_path):
+    blocks = re.findall(r"```toml\n(.*?)```", (ROOT / "docs" / "config.md").read_text(), flags=re.DOTALL)
+    for number, text in enumerate(blocks):
+        (tmp_path / f"{number}.toml").write_text(text)
+    found = [settings.load(tmp_path / f"{number}.toml").tables for number in range(len(blocks))]
+    assert {method for tables in found for method in tables} == set(METHODS)
+    described = [deflection_config.sensors(tables["deflection"]) for tables in found if "deflection" in tables]
+    assert [len(sensors) for sensors in described] == [3]
 
 
 def commands(page):

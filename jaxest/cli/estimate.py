@@ -32,6 +32,7 @@ EXAMPLES = (
     "jaxest estimate shaken.npz -m onsite --config imus.toml",
     "jaxest estimate arm.npz -m torque --robot arm.urdf --devices 2 --work kept",
     "jaxest estimate hand.npz -m posture --robot hand.xml --config imus.toml",
+    "jaxest estimate scan.npz -m slam --robot arm.xml --config sensors.toml",
 )
 
 
@@ -71,7 +72,8 @@ def run(
 ) -> Answer:
     """Estimate from a log, and write the estimate with its covariance, a report and a picture into a folder.
 
-    If the log carries its own truth (a stream `orientation`), the errors to it are printed as well.
+    If the log carries its own truth (a stream `orientation`), the errors to it are printed as well. `jaxest inspect`
+    prints a first config; docs/config.md has a whole one for each method.
     """
     del verbose, devices
     from jaxest.cli import methods, settings
