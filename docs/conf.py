@@ -22,6 +22,7 @@ autodoc_typehints = "signature"
 napoleon_google_docstring = True
 napoleon_use_rtype = False  # shapes before a colon are no types to link to
 suppress_warnings = ["myst.header", "mystnb.unknown_mime_type", "misc.highlighting_failure"]
+suppress_warnings += ["ref.python"]  # a name that several modules have, as Row
 
 # Sphinx reads below its own folder only, so that what notebooks link to lies elsewhere.
 here = Path(__file__).parent

@@ -4,6 +4,7 @@
 """
 
 import importlib
+import re
 import tomllib
 from pathlib import Path
 from types import ModuleType
@@ -37,6 +38,12 @@ def test_public_names_are_those_that_were_agreed():
     now = public()
     assert sorted(set(agreed) - set(now)) == [], "public names that are gone; keep an alias for one release"
     assert sorted(set(now) - set(agreed)) == [], "public names that are new; add them to public_api.txt"
+
+
+def test_every_public_module_has_its_place_in_the_reference():
+    pages = "\n".join(page.read_text() for page in (Path(__file__).parents[1] / "docs" / "api").glob("*.md"))
+    shown = set(re.findall(r"automodule:: (\S+)", pages))
+    assert sorted({name.rpartition(".")[0] for name in LIST.read_text().split()} - shown) == []
 
 
 def test_the_version_is_one_and_told_in_the_changes():
