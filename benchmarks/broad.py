@@ -2,7 +2,13 @@
 
     python benchmarks/broad.py FOLDER [--command]
 
-FOLDER holds the trials as NPZ. Printed is, with 6 and 9 axes, the mean over trials of the root mean square errors over
+FOLDER holds the trials as NPZ, one a file, under the authors' names (`24_disturbed_tapping_A.npz`), by whose words they
+are grouped. The authors publish them as HDF5 and MAT (repository dlaidig/broad, CC BY 4.0); to be saved of each are
+`gyr` (T, 3) rad/s, `acc` (T, 3) m/s2, `mag` (T, 3) uT, `quat` (T, 4) wxyz, the truth, NaN where it is unknown,
+`movement` (T,), which samples count, and `fs` () Hz. A log of ours does as well, with streams gyroscope, accelerometer,
+magnetometer, orientation and movement.
+
+Printed is, with 6 and 9 axes, the mean over trials of the root mean square errors over
 the samples that move and whose truth is known, in degrees; one setting for all trials, the complementary filter's gains
 being 0.74 and 0.0012. With --command only the latter are measured, trial by trial, the way `jaxest estimate --method
 orientation` gives them with `filter = "complementary"` in its config.
@@ -15,6 +21,7 @@ from pathlib import Path
 from jaxest.bench import broad
 from jaxest.cli import methods
 from jaxest.io import read
+from jaxest.types import InputError
 
 SENSORS = {6: ("gyroscope", "accelerometer"), 9: ("gyroscope", "accelerometer", "magnetometer")}
 
@@ -28,7 +35,7 @@ def main(folder: Path) -> None:
 def command(folder: Path) -> None:
     """Run the command's complementary filter on all trials and print a line a trial, then the means."""
     means: dict[str, list[float]] = {}
-    for trial in sorted(folder.glob("*.npz")):
+    for trial in broad.files(folder):
         log = read(trial)
         line = []
         for axes, sensors in SENSORS.items():
@@ -46,4 +53,7 @@ if __name__ == "__main__":
     words = [word for word in sys.argv[1:] if word != "--command"]
     if len(words) != 1:
         sys.exit(__doc__)
-    (command if "--command" in sys.argv else main)(Path(words[0]))
+    try:
+        (command if "--command" in sys.argv else main)(Path(words[0]))
+    except InputError as error:
+        sys.exit(f"error: {error}")

@@ -6,8 +6,9 @@
 Each sampler runs four chains from dispersed starts until every parameter has so many effective draws, bulk and tail, or
 until the chains have so many iterations each. Rows: the largest distance of the means to the oracle's in its posterior
 deviations, the farthest ratio of deviations, for the torques and for the logarithms of the variances of S1 and S3; S2
-beside its prior; what the chains say of themselves; and how far estimates of the log-likelihood scatter. An oracle is a
-file as `joint_torque.md` beside it describes. Accuracy over many data sets is `jaxest reproduce zakeri2023 --part
+beside its prior; what the chains say of themselves; and how far estimates of the log-likelihood scatter. An oracle
+is an NPZ file of a series and of a long run's posterior, with the arrays that `problem` and `against` below read; the
+repository holds none. Accuracy over many data sets is `jaxest reproduce zakeri2023 --part
 accuracy`, speed `jaxest bench torque`.
 """
 

@@ -66,6 +66,14 @@ class Trial(NamedTuple):
     """(T,)"""
 
 
+def files(folder: Path) -> list[Path]:
+    """Return the files of a folder's trials, by name; raises InputError where there is none."""
+    found = sorted(folder.glob("*.npz"))
+    if not found:
+        raise InputError(f"{folder}: no NPZ file, expected the trials of BROAD")
+    return found
+
+
 def load(folder: Path) -> list[Trial]:
     """Read the trials of a folder.
 
@@ -78,10 +86,7 @@ def load(folder: Path) -> list[Trial]:
     Raises:
         InputError: there is none, or one has no truth.
     """
-    files = sorted(folder.glob("*.npz"))
-    if not files:
-        raise InputError(f"{folder}: no NPZ file, expected the trials of BROAD")
-    return [_trial(file) for file in files]
+    return [_trial(file) for file in files(folder)]
 
 
 def _trial(file: Path) -> Trial:
@@ -256,4 +261,17 @@ def table(measured: Iterable[Row]) -> str:
     return "\n".join(lines)
 
 
-__all__ = ["GROUPS", "ONLINE", "SMOOTHER", "Trial", "estimates", "groups", "load", "padded", "peer", "rows", "table"]
+__all__ = [
+    "GROUPS",
+    "ONLINE",
+    "SMOOTHER",
+    "Trial",
+    "estimates",
+    "files",
+    "groups",
+    "load",
+    "padded",
+    "peer",
+    "rows",
+    "table",
+]

@@ -30,7 +30,8 @@ def start(
         rank: number of this process, from 0.
         count: how many there are.
         patience: s without a sign of life after which one counts as lost. JAX then says on standard error which, and
-            ends all others: start the same commands again, and what `io.study` and checkpoints kept is not lost.
+            ends all others: start the same commands again, and what `io.studies.study` and checkpoints kept is not
+            lost.
 
     Returns:
         The rank and count.

@@ -1,5 +1,9 @@
 """The accuracy benchmark on trials made up here: reading, padding, groups; and the figures on the real ones."""
 
+import runpy
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,6 +12,7 @@ from jaxest.bench import broad
 from jaxest.metrics import broad_rmse_deg
 from jaxest.types import InputError
 
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "broad.py"
 NAMES = ("01_undisturbed_slow_rotation_A", "24_disturbed_tapping_A")
 
 
@@ -70,9 +75,12 @@ def test_every_filter_has_every_group_and_a_gyro_bias_of_its_own(folder, monkeyp
         np.testing.assert_allclose(np.abs(seen), [[0, 0, 0], np.deg2rad([0.5] * 3)], atol=1e-12)
 
 
-def test_a_folder_without_trials_is_refused(tmp_path):
+def test_a_folder_without_trials_is_refused(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="no NPZ file, expected the trials of BROAD"):
         broad.load(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["broad.py", str(tmp_path), "--command"])
+    with pytest.raises(SystemExit, match=r"error: .* no NPZ file"):
+        runpy.run_path(str(SCRIPT), run_name="__main__")
 
 
 @pytest.mark.recorded
