@@ -22,13 +22,15 @@ def test_messages_are_one_sentence_without_shouting():
         assert "  " not in message.text, message
 
 
-def test_a_person_is_always_told_what_to_do_next(tmp_path):
+def test_what_to_do_next_is_said_once(tmp_path):
     """Either the message says it, or the command adds a line; the options name the file that the message is about."""
     log = tmp_path / "log.csv"
     log.write_text("x")
     for message in messages():
         text = message.text.replace("{path}", str(log))
-        assert next_step(text, "estimate", {"log": log}) or GUIDED.search(text), message
+        added = next_step(text, "estimate", {"log": log})
+        assert bool(added) != bool(GUIDED.search(text)), message
+        assert added in ("", f"; `jaxest inspect {log}` shows what is in it") or not text.startswith(str(log)), message
     assert (
         next_step(f"{log}: the file is empty", "estimate", {"log": log})
         == f"; `jaxest inspect {log}` shows what is in it"
