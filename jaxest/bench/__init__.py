@@ -11,7 +11,7 @@ import importlib
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from jaxest.types import InputError, unknown_name
+from jaxest.types import InputError, listed
 
 if TYPE_CHECKING:
     from jaxest.io.report import Row
@@ -64,7 +64,7 @@ def rows(
         InputError: the name is unknown.
     """
     if name not in CASES:
-        raise unknown_name("benchmark", name, CASES)
+        raise InputError(f"benchmark {name!r} does not exist, expected one of {listed(CASES)}")
     if robots and name not in ("dynamics", "inverse_kinematics", "kinematics"):
         raise InputError(f"benchmark {name!r} is not about robots, got {', '.join(robots)}")
     if peer_seconds is not None and name != "torque":

@@ -54,7 +54,7 @@ def run(
         Path | None, typer.Option("--config", "-c", help="TOML with \\[columns] and the method's settings.")
     ] = None,
     sensors: Annotated[
-        str | None, typer.Option(help="Kinds of stream to use, separated by commas; of the orientation.")
+        str | None, typer.Option(help="Kinds of sensor to use, comma-separated; for --method orientation only.")
     ] = None,
     start: Annotated[float | None, typer.Option(help="Leave out what is earlier, s from the first sample.")] = None,
     end: Annotated[float | None, typer.Option(help="Leave out what is later, s from the first sample.")] = None,

@@ -58,7 +58,7 @@ def run(
     ] = None,
     starts: Annotated[int, typer.Option(min=1, help="How many starts; the config's own is the first.")] = 4,
     spread: Annotated[float, typer.Option(min=0, help="How far apart they are; 1 is a factor e.")] = 1.0,
-    held_out: Annotated[int, typer.Option(min=0, help="How many logs, the last, only judge.")] = 0,
+    held_out: Annotated[int, typer.Option(min=0, help="Keep the last N logs out of the tuning, to judge it.")] = 0,
     evaluations: Annotated[int, typer.Option(min=1, help="Evaluations of each start, at most.")] = 60,
     seed: Annotated[int, typer.Option(help="Of starts, mini-batches and particles.")] = 0,
     checkpoint: Annotated[

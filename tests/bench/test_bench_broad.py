@@ -90,7 +90,7 @@ def test_a_folder_without_trials_is_refused(tmp_path, monkeypatch):
     [("ekf", 0.70, 1.9), ("decoupled", 0.80, 2.25), ("ekf, smoothed", 0.60, 1.85), ("madgwick", 2.0, 5.3)],
 )
 def test_figures_on_the_recordings(shared, name, inclination, total):
-    """Mean over the 20 trials, one setting for all; VQF has 0.78 and 2.45, offline 0.55 and 2.17."""
+    """Mean over the 20 trials, one setting for all; VQF has 0.78 and 2.44, offline 0.55 and 2.17."""
     trials = broad.load(shared / "recordings" / "broad")
     assert len(trials) == 20
     found = {}

@@ -15,7 +15,7 @@ from jaxest.types import InputError
 
 
 def test_unknown_case():
-    with pytest.raises(InputError, match="did you mean 'orientation'"):
+    with pytest.raises(InputError, match="does not exist, expected one of bingham"):
         bench.rows("orientaton")
 
 
