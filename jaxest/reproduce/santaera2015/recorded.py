@@ -14,7 +14,8 @@ def broad(choice: Choice, say: Say) -> Section:
     assert choice.broad is not None  # `NEEDS` says so
     rows: list[Row] = list(benchmark.rows(choice.broad, progress=lambda message: say(message)))
     title = "BROAD: mean RMSE over the trials of each group"
-    whole = [row for row in rows if row.condition == "all"]
+    ours = tuple(f" axes, {name}" for name in (*benchmark.ONLINE, benchmark.SMOOTHER))
+    whole = [row for row in rows if row.condition == "all" and row.metric.endswith(ours)]
     return Section("broad", title, rows, lambda path: canvas.bars(path, whole, "BROAD: mean RMSE over all trials"))
 
 
