@@ -22,6 +22,7 @@ class Method(NamedTuple):
     """An optimiser; static, hashed by identity. Build it once."""
 
     transform: optax.GradientTransformation
+    """Whose updates are added, as those of every optax optimiser are; with backtracking the transform of `lbfgs`."""
     backtrack: bool = False
     """Whether a step must bring the objective down; only for objectives without noise, and for `lbfgs`'s transform."""
     longest: float = 1.0
@@ -73,8 +74,7 @@ def adam(rate: Any = 0.05, *, longest: float = 1.0) -> Method:
     Returns:
         The method.
     """
-    return Method(optax.chain(optax.scale_by_adam(b2=0.99), optax.scale_by_learning_rate(rate, flip_sign=False)),
-                  longest=longest)  # fmt: skip
+    return Method(optax.adam(rate, b2=0.99), longest=longest)
 
 
 class State(NamedTuple):
@@ -162,7 +162,7 @@ def _taken(method: Method, state: State, value: Array, gradient: Array) -> State
     """The state once the trial is taken: its gradient gives the next direction."""
     if not method.backtrack:
         update, memory = method.transform.update(gradient, state.memory, state.trial)
-        direction, settled = _limited(method, -update), jnp.zeros((), bool)
+        direction, settled = _limited(method, update), jnp.zeros((), bool)
     else:
         direction, memory, settled = _quasi_newton(method, state, value, gradient)
     return state._replace(

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 from tuning_models import FILTER, KALMAN, Params, drawn, particles
 
@@ -105,6 +106,18 @@ def test_values_that_are_not_finite_are_never_taken():
         state, _ = step(state)
         assert np.isfinite(state.value)
     np.testing.assert_allclose(state.point, [1.0], atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    "transform", [optax.adam(0.2), optax.sgd(0.01), tuning.adam(0.2).transform], ids=["adam", "sgd", "own"]
+)
+def test_an_optimiser_of_optax_goes_down(transform):
+    method = tuning.Method(transform)
+    state = descent.init(method, jnp.array([-1.0, 2.0]))
+    step = jax.jit(lambda s: descent.step(method, jax.value_and_grad(valley), s))
+    for _ in range(50):
+        state, _ = step(state)
+    assert state.value < 0.2 * valley(jnp.array([-1.0, 2.0]))
 
 
 def test_noise_is_recovered_with_honest_errors():
