@@ -7,6 +7,7 @@ on curved spaces are charted from the value itself, so that the chart is smooth 
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jaxest.tuning._chart import Bijection, Constraint
 from jaxest.tuning._chart_curved import covariance, rotation, unit_vector
@@ -54,8 +55,8 @@ def usual(path: str, value: Any) -> str:
 
     Returns:
         `bingham` for a `lam`, `rotation` for a `mounting` or a unit quaternion of another name, `share` for what is
-        called forgetting or share, `real` for offsets, starts, biases and what is not positive, `covariance` for a
-        symmetric positive matrix, `positive` for the rest.
+        called forgetting or share, `covariance` for a symmetric positive definite matrix, `real` for offsets, starts,
+        biases and what is not positive, `positive` for the rest.
     """
     array, leaf = np.asarray(value, np.float64), path.rsplit(".", 1)[-1]
     if leaf == "lam":
@@ -64,10 +65,22 @@ def usual(path: str, value: Any) -> str:
         return "rotation"
     if any(word in leaf for word in ("forgetting", "share")):
         return "share"
+    if _definite(array):
+        return "covariance"
     if any(word in leaf for word in ("offset", "start", "bias_")) or not (array > 0).all():
-        square = array.ndim == 2 and array.shape[0] == array.shape[1] and bool((np.diag(array) > 0).all())
-        return "covariance" if square else "real"
+        return "real"
     return "positive"
+
+
+def _definite(array: NDArray[np.float64]) -> bool:
+    """Whether a value is a matrix that `covariance` takes; one of a single entry is a number."""
+    if array.ndim != 2 or array.size < 2:
+        return False
+    try:
+        covariance(array)
+    except ValueError:
+        return False
+    return True
 
 
 __all__ = [

@@ -139,7 +139,25 @@ def test_names():
     with pytest.raises(ValueError, match="in order"):
         tr.interval(1.0, 1.0)
     assert tr.named("equal-positive")(np.full(3, 2.0)).size == 1
-    usual = {"sensors.a.lam": [0.0, -1.0], "sensors.a.mounting": QUATERNION, "forgetting_rotation": 0.99, "walk": 5.0,
-             "noise": COVARIANCE, "sensors.e.offset": 1.0, "x": -1.0}  # fmt: skip
-    found = [tr.usual(path, value) for path, value in usual.items()]
-    assert found == ["bingham", "rotation", "share", "positive", "covariance", "real", "real"]
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "name"),
+    [
+        ("sensors.a.lam", [0.0, -1.0], "bingham"),
+        ("sensors.a.mounting", QUATERNION, "rotation"),
+        ("forgetting_rotation", 0.99, "share"),
+        ("walk", 5.0, "positive"),
+        ("noise", COVARIANCE, "covariance"),
+        ("noise", [[2.0, 1.0], [1.0, 2.0]], "covariance"),
+        ("noise", [[2.0]], "positive"),
+        ("gain", [[1.0, 0.0], [0.5, 1.0]], "real"),
+        ("gain", [[1.0, 2.0], [2.0, 1.0]], "positive"),
+        ("gain", [[1.0, 0.5, 2.0]], "positive"),
+        ("sensors.e.offset", 1.0, "real"),
+        ("x", -1.0, "real"),
+    ],
+)
+def test_the_usual_constraint_of_a_name_and_a_value(path, value, name):
+    assert tr.usual(path, value) == name
+    tr.named(name)(value)
