@@ -21,7 +21,6 @@ from jaxest.cli.output import (
     console,
     json_object,
     note,
-    warn,
     working,
 )
 
@@ -102,9 +101,7 @@ def run(
             tuned.draw(picture, given, found, held_out > 0, f"{method}: {given.label}", list(kept)[:SHOWN])
     rows = list(kept.values())
     shown = tuned.rows(given, found, held_out, time.perf_counter() - begun)
-    loose = [row.name for row in rows if not row.identified]
-    if loose:
-        warn(f"these logs hardly tell {', '.join(loose)}: standard errors of a factor e or more")
+    loose = tuned.warned(rows, len(given.recordings) - held_out, given.space.size)
     if json:
         return Answer(json_object(report(NAME, [*shown, *tuned.parameters(given, rows)]), unidentified=loose))
     from jaxest.cli.tables import figures

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxest.cli.output import warn
 from jaxest.cli.tables import grid, number
 from jaxest.io.report import Row
 
@@ -42,12 +43,29 @@ def rows(given: Any, found: Any, held_out: int, took: float) -> list[Row]:
     return [*shown, Row("run time", "compilation included", took, "s")]
 
 
+def doubt(row: Any) -> str:
+    """What is wrong with a parameter's standard error, empty if nothing is."""
+    return "" if row.identified else "error unknown" if np.isnan(row.sd) else "not identified"
+
+
+def warned(estimates: list[Any], logs: int, size: int) -> list[str]:
+    """Say which parameters are known badly and why, for `logs` tuned on and `size` free numbers; return their names."""
+    names: dict[str, list[str]] = {}
+    for row in estimates:
+        names.setdefault(doubt(row), []).append(row.name)
+    if "error unknown" in names:
+        warn(f"standard errors need more logs to tune on than free numbers, got {logs} for {size}")
+    if "not identified" in names:
+        warn(f"these logs hardly tell {', '.join(names['not identified'])}: standard errors of a factor e or more")
+    return [row.name for row in estimates if doubt(row)]
+
+
 def parameters(given: Any, estimates: list[Any]) -> list[Row]:
     """Return parameters for machines."""
     rows = []
     for row in estimates:
-        known = "" if row.identified else ", not identified"
-        rows.append(Row(row.name, f"free{known}", row.value, "1", spread=row.sd if np.isfinite(row.sd) else None,
+        condition = ", ".join(("free", doubt(row))) if doubt(row) else "free"
+        rows.append(Row(row.name, condition, row.value, "1", spread=row.sd if np.isfinite(row.sd) else None,
                         reference=row.start, reference_name="start"))  # fmt: skip
         rows.append(Row(row.name, "rise of the objective by 10 %", row.rise * given.scale, given.unit))
     return rows
@@ -63,7 +81,7 @@ def table(given: Any, estimates: list[Any]) -> Any:
 
     lines = [
         (row.name, written(row.start), written(row.value), number(row.sd) if np.isfinite(row.sd) else "-",
-         number(row.rise * given.scale, 2), "" if row.identified else "not identified")
+         number(row.rise * given.scale, 2), doubt(row))
         for row in estimates
     ]  # fmt: skip
     return grid(head, lines, right=(1, 2, 3, 4))
@@ -87,4 +105,4 @@ def draw(path: Path, given: Any, found: Any, judged: bool, title: str, shown: li
                 label="objective" if given.unit == "1" else given.unit, title=title)  # fmt: skip
 
 
-__all__ = ["distinct", "draw", "parameters", "rows", "table"]
+__all__ = ["distinct", "doubt", "draw", "parameters", "rows", "table", "warned"]

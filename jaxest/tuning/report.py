@@ -30,7 +30,7 @@ class Curvature(NamedTuple):
     hessian: NDArray[np.float64]
     """(n, n) of the mean loss."""
     covariance: NDArray[np.float64]
-    """(n, n) of the point; infinite along directions without curvature."""
+    """(n, n) of the point; infinite along directions without curvature, NaN where it is unknown."""
     spread: NDArray[np.float64]
     """(n, n) Monte-Carlo covariance of the mean gradient, 0 where nothing is drawn."""
 
@@ -42,7 +42,7 @@ class Estimate(NamedTuple):
     start: float
     value: float
     sd: float
-    """Standard error, infinite where unidentified."""
+    """Standard error, infinite where unidentified, NaN where the recordings are too few to tell."""
     rise: float
     """What a change by 0.1 of the free number behind it adds to the mean loss, all other parameters as they are: by 10
     % of a positive value, of what is between a share and its end, by 0.1 of a number that may have either sign."""
@@ -57,7 +57,8 @@ def curvature(
     The Hessian is the difference of gradients on both sides of the point, `STEP` away (`STEP_DRAWN` where they are
     drawn, with the same keys): one compiled gradient serves, where second derivatives through a filter take minutes to
     compile. For a likelihood the covariance is the inverse of the summed Hessian; for other objectives that of an
-    M-estimator, from how the gradients of single recordings differ, so it wants a good many recordings.
+    M-estimator, from how the gradients of single recordings differ: unknown, NaN, unless there are more recordings than
+    free numbers, and rough unless there are many.
 
     Args:
         problem: what is tuned.
@@ -88,7 +89,8 @@ def curvature(
     middle, own = hessian / (count if worth is None else worth), gradients[0]
     if not problem.objective.likelihood:
         centred = own - own.mean(axis=0)
-        middle = centred.T @ centred / max(count * (count - 1), 1)
+        # Gradients that differ in fewer directions than there are would make errors of 0.
+        middle = centred.T @ centred / (count * (count - 1)) if count > size else np.full_like(hessian, np.nan)
     covariance = _sandwich(hessian, middle + spread)
     return Curvature(float(values[0].mean()), own.mean(axis=0), hessian, covariance, spread)
 
@@ -135,13 +137,15 @@ def estimates(problem: Problem, z: Array, found: Curvature) -> list[Estimate]:
     values = np.asarray(problem.space.values(z), np.float64)
     start = np.asarray(problem.space.values(problem.space.pack(problem.space.base, z.dtype)), np.float64)
     slope = np.asarray(jax.jacfwd(problem.space.values)(z), np.float64)
-    known = np.isfinite(np.diag(found.covariance))
+    variance = np.diag(found.covariance)
     inside = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
     rows = []
     for i, name in enumerate(problem.space.names):
         moving = np.flatnonzero(slope[i])
-        sure = bool(known[moving].all())
-        sd = float(np.sqrt(max(slope[i] @ inside @ slope[i], 0.0))) if sure else np.inf
+        sure = bool(np.isfinite(variance[moving]).all())
+        sd = float(np.sqrt(max(slope[i] @ inside @ slope[i], 0.0)))
+        if not sure:
+            sd = np.inf if np.isinf(variance[moving]).any() else np.nan
         tight = sure and bool((np.sqrt(np.diag(inside)[moving]) < LOOSE).all())
         norm = float(np.sqrt(slope[i] @ slope[i]))
         moved = slope[i] * (0.1 / norm) if norm > 0 else 0 * slope[i]

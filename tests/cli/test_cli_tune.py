@@ -49,6 +49,8 @@ def test_gains_are_tuned_written_and_better(invoke, files):
     rows = {(row["metric"], row["condition"]): row for row in report["rows"]}
     fitted = next(row for (_, condition), row in rows.items() if condition == "tuned")
     assert fitted["value"] < 0.8 * fitted["reference"]
+    assert rows["integral_gain", "free, error unknown"]["spread"] is None  # two logs do not tell how logs differ
+    assert "more logs to tune on than free numbers, got 2 for 2" in result.stderr
     tuned = tomllib.loads((files / "tuned.toml").read_text())
     assert set(tuned["orientation"]) == {"filter", "proportional_gain", "integral_gain"}
     assert tuned["orientation"]["proportional_gain"] < 2.0

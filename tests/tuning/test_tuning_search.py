@@ -166,34 +166,6 @@ def test_optima_are_two_where_the_objective_rises_between():
     np.testing.assert_allclose(found, [[-1.0, 0.0], [1.0, 0.1]], atol=2e-3)
 
 
-@pytest.mark.slow
-def test_standard_errors_are_those_of_repetitions():
-    """The spread of the estimates over fresh data is what the Hessian claims, to its sampling error."""
-    runs = 40
-    batches = [tuning.padded([drawn(100 + 4 * run + i, steps=80) for i in range(4)]) for run in range(runs)]
-    points, claims = [], []
-    for batch in batches:
-        found = tuning.minimise(PROBLEM, batch, evaluations=25)
-        points.append(np.asarray(found.point))
-        claims.append(np.diag(tuning.curvature(PROBLEM, found.point, batch).covariance))
-    ratio = np.var(points, axis=0, ddof=1) / np.mean(claims, axis=0)
-    # A variance of 40 draws has a relative standard deviation of sqrt(2 / 39) = 0.23.
-    assert (np.abs(np.log(ratio)) < 3 * 0.23).all(), ratio
-
-
-def test_what_cannot_be_told_apart_is_said():
-    space = tuning.space(Params(), ["walk", "seen", "scale"])
-    problem = tuning.Problem(LIKELIHOOD, space)
-    found = tuning.minimise(problem, BATCH, evaluations=30)
-    rows = {
-        row.name: row for row in tuning.estimates(problem, found.point, tuning.curvature(problem, found.point, BATCH))
-    }
-    assert rows["walk"].identified
-    assert not rows["seen"].identified
-    assert not rows["scale"].identified
-    assert np.isinf(rows["scale"].sd)
-
-
 def test_a_kept_search_resumes_to_the_same_numbers(tmp_path):
     starts = tuning.disperse(SPACE, 2, key=jax.random.key(2), spread=0.5)
     method = tuning.lbfgs()

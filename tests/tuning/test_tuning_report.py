@@ -1,0 +1,69 @@
+"""Reports: standard errors, of what they come from, and what recordings cannot tell."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tuning_models import KALMAN, Params, drawn
+
+from jaxest import tuning
+
+BATCH = tuning.padded([drawn(seed, steps=150) for seed in range(10)])
+LIKELIHOOD = tuning.likelihood(KALMAN)
+PROBLEM = tuning.Problem(LIKELIHOOD, tuning.space(Params(), ["walk", "seen"]))
+
+
+@pytest.mark.slow
+def test_standard_errors_are_those_of_repetitions():
+    """The spread of the estimates over fresh data is what the Hessian claims, to its sampling error."""
+    runs = 40
+    batches = [tuning.padded([drawn(100 + 4 * run + i, steps=80) for i in range(4)]) for run in range(runs)]
+    points, claims = [], []
+    for batch in batches:
+        found = tuning.minimise(PROBLEM, batch, evaluations=25)
+        points.append(np.asarray(found.point))
+        claims.append(np.diag(tuning.curvature(PROBLEM, found.point, batch).covariance))
+    ratio = np.var(points, axis=0, ddof=1) / np.mean(claims, axis=0)
+    # A variance of 40 draws has a relative standard deviation of sqrt(2 / 39) = 0.23.
+    assert (np.abs(np.log(ratio)) < 3 * 0.23).all(), ratio
+
+
+def test_what_cannot_be_told_apart_is_said():
+    space = tuning.space(Params(), ["walk", "seen", "scale"])
+    problem = tuning.Problem(LIKELIHOOD, space)
+    found = tuning.minimise(problem, BATCH, evaluations=30)
+    rows = {
+        row.name: row for row in tuning.estimates(problem, found.point, tuning.curvature(problem, found.point, BATCH))
+    }
+    assert rows["walk"].identified
+    assert not rows["seen"].identified
+    assert not rows["scale"].identified
+    assert np.isinf(rows["scale"].sd)
+
+
+class Normal(NamedTuple):
+    mean: object = 0.5
+    sd: object = 1.0
+
+
+class Numbers(NamedTuple):
+    value: object
+    dt: object
+
+
+def numbers(*rows):
+    return tuning.padded([tuning.recording(Numbers(np.asarray(row), np.ones(len(row)))) for row in rows])
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_errors_of_an_objective_that_is_no_likelihood_need_recordings_that_differ(count):
+    """The mean of recordings' means has their standard error; of one recording nobody knows how it differs."""
+    rows = np.random.default_rng(0).normal(size=(count, 20)).astype(np.float32)
+    objective = tuning.Objective(lambda params, one, key: jnp.mean((one.measurements.value - params.mean) ** 2))
+    problem = tuning.Problem(objective, tuning.space(Normal(), {"mean": tuning.transforms.real}))
+    z = jnp.asarray(rows.mean())[None]
+    (row,) = tuning.estimates(problem, z, tuning.curvature(problem, z, numbers(*rows)))
+    assert row.identified == (count > 1)
+    expected = np.std(rows.mean(axis=1), ddof=1) / np.sqrt(count) if count > 1 else np.nan
+    np.testing.assert_allclose(row.sd, expected, rtol=1e-3)
