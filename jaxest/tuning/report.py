@@ -8,15 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxest.tuning.descent import GRAIN
 from jaxest.tuning.objectives import batched, per_recording
 from jaxest.tuning.problem import Problem, goes_forward, loss_at
 from jaxest.tuning.recordings import Recording
 from jaxest.types import Array
 
 STEP, STEP_DRAWN = 0.05, 0.2
-"""How far apart gradients are compared, in free numbers."""
+"""How far from the point gradients are compared, in free numbers; the first nearer where the point is known better."""
+AGAIN = 3
+"""How often at most that distance is corrected."""
 FLAT = 1e-4
-"""Curvature, as a share of the largest, below which a direction has none that differences could tell from 0."""
+"""Curvature, of free numbers each of which has curvature 1, below which a direction has none that differences could
+tell from 0."""
 LOOSE = 1.0
 """Standard error in free numbers (a factor e of a positive value) beyond which a parameter counts as unidentified."""
 
@@ -54,11 +58,12 @@ def curvature(
 ) -> Curvature:
     """Return value, gradient, Hessian and the covariance that follows.
 
-    The Hessian is the difference of gradients on both sides of the point, `STEP` away (`STEP_DRAWN` where they are
-    drawn, with the same keys): one compiled gradient serves, where second derivatives through a filter take minutes to
-    compile. For a likelihood the covariance is the inverse of the summed Hessian; for other objectives that of an
-    M-estimator, from how the gradients of single recordings differ: unknown, NaN, unless there are more recordings than
-    free numbers, and rough unless there are many.
+    The Hessian is the difference of gradients on both sides of the point: one compiled gradient serves, where second
+    derivatives through a filter take minutes to compile. They are one standard error away, for numbers have units, but
+    at most `STEP`; gradients that are drawn are `STEP_DRAWN` away, with the same keys. For a likelihood the covariance
+    is the inverse of the summed Hessian; for other objectives that of an M-estimator, from how the gradients of single
+    recordings differ: unknown, NaN, unless there are more recordings than free numbers, and rough unless there are
+    many.
 
     Args:
         problem: what is tuned.
@@ -74,13 +79,30 @@ def curvature(
     Source: van der Vaart 1998 (Asymptotic statistics), theorem 5.21.
     """
     keys = jax.random.split(jax.random.key(0), 1) if keys is None else keys
-    step = STEP_DRAWN if problem.objective.random else STEP
-    shift = step * jnp.eye(z.shape[0], dtype=z.dtype)
+    random = problem.objective.random
+    step = np.maximum(STEP_DRAWN if random else STEP, _least(np.asarray(z)))
+    found = _differences(problem, z, batch, keys, worth, step)
+    for _ in range(0 if random else AGAIN):
+        nearer = _nearer(found, np.asarray(z), step)
+        if (np.abs(np.log(nearer / step)) < np.log(2)).all():
+            break
+        step = nearer
+        found = _differences(problem, z, batch, keys, worth, step)
+    rounding = 2 * GRAIN * np.finfo(z.dtype).eps * abs(found.value) / _reach(np.asarray(z)) ** 2
+    return found._replace(covariance=_sandwich(found.hessian, found.covariance, rounding))
+
+
+def _differences(
+    problem: Problem, z: Array, batch: Recording, keys: Array, worth: float | None, step: NDArray[np.float64]
+) -> Curvature:
+    """The curvature from gradients `step` (n,) away; in place of the point's covariance that of the gradient."""
+    size, count = z.shape[0], jnp.shape(batch.counts)[0]
+    shift = jnp.diag(jnp.asarray(step, z.dtype))
     points = jnp.concatenate([z[None], z[None] + shift, z[None] - shift])
     drawn = [[np.asarray(x, np.float64) for x in _gradients(problem, points, batch, key)] for key in keys]
     values, gradients = (np.asarray(np.mean([d[i] for d in drawn], axis=0)) for i in range(2))
-    size, count = z.shape[0], gradients.shape[1]
-    hessian = (gradients[1 : size + 1] - gradients[size + 1 :]).mean(axis=1) / (2 * step)
+    apart = np.diag(np.asarray(points[1 : size + 1] - points[size + 1 :], np.float64))  # as rounding leaves it
+    hessian = (gradients[1 : size + 1] - gradients[size + 1 :]).mean(axis=1) / apart[:, None]
     hessian = (hessian + hessian.T) / 2
     means = np.array([d[1][0].mean(axis=0) for d in drawn])
     spread = np.zeros_like(hessian)
@@ -91,8 +113,26 @@ def curvature(
         centred = own - own.mean(axis=0)
         # Gradients that differ in fewer directions than there are would make errors of 0.
         middle = centred.T @ centred / (count * (count - 1)) if count > size else np.full_like(hessian, np.nan)
-    covariance = _sandwich(hessian, middle + spread)
-    return Curvature(float(values[0].mean()), own.mean(axis=0), hessian, covariance, spread)
+    return Curvature(float(values[0].mean()), own.mean(axis=0), hessian, middle + spread, spread)
+
+
+def _nearer(found: Curvature, z: NDArray[Any], step: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Steps (n,) of one standard error of each number were it alone free, where it is known; a tenth into the dark."""
+    curved, varied = (np.abs(np.diag(x)) for x in (found.hessian, found.covariance))
+    alone = np.sqrt(varied) / np.where(curved > 0, curved, np.inf)
+    alone = np.where(np.isfinite(alone) & (alone > 0), alone, STEP)
+    least = _least(z)
+    return np.where(np.isfinite(curved), np.clip(alone, least, np.maximum(STEP, least)), step / 10)
+
+
+def _least(z: NDArray[Any]) -> NDArray[np.float64]:
+    """The shortest steps (n,) from a point (n,) that its digits allow."""
+    return np.sqrt(np.finfo(z.dtype).eps) * _reach(z)
+
+
+def _reach(z: NDArray[Any]) -> NDArray[np.float64]:
+    """How far (n,) numbers like those of a point (n,) go: a curvature that does not show there is rounding's."""
+    return STEP * np.maximum(1.0, np.abs(z)).astype(np.float64)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -110,12 +150,23 @@ def _gradients(problem: Problem, points: Array, batch: Recording, key: Array) ->
     return every(lambda z: per_recording(problem.objective, partial(one, z), batch, key))(points)
 
 
-def _sandwich(hessian: NDArray[Any], middle: NDArray[Any]) -> NDArray[Any]:
-    """Inverse Hessian on both sides; directions of no or negative curvature are unknown, all that they touch too."""
-    values, vectors = np.linalg.eigh(hessian)
-    flat = values <= FLAT * max(values[-1], 0.0)
+def _sandwich(hessian: NDArray[Any], middle: NDArray[Any], rounding: NDArray[Any]) -> NDArray[Any]:
+    """Inverse Hessian on both sides; directions of no or negative curvature are unknown, all that they touch too.
+
+    Free numbers have units of their own: each counts in the one in which its curvature is 1, or in which rounding would
+    be, (n,), where it has none that rounding could not make.
+    """
+    if not np.isfinite(hessian).all():
+        return np.full_like(hessian, np.nan)
+    curved = np.diag(hessian)
+    seen = curved > rounding
+    unit = np.sqrt(np.where(seen, curved, np.where(rounding > 0, rounding, 1.0)))
+    scaled = hessian / np.outer(unit, unit)
+    scaled[~seen, ~seen] = np.minimum(scaled[~seen, ~seen], 0.0)
+    values, vectors = np.linalg.eigh(scaled)
+    flat = values <= FLAT
     inverse = np.where(flat, 0.0, 1 / np.where(flat, 1.0, values))
-    back = (vectors * inverse) @ vectors.T
+    back = (vectors * inverse) @ vectors.T / np.outer(unit, unit)
     found = back @ middle @ back
     unknown = (vectors[:, flat] ** 2).sum(axis=1) > 1e-3
     found[unknown, :] = found[:, unknown] = 0.0

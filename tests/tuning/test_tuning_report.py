@@ -67,3 +67,32 @@ def test_errors_of_an_objective_that_is_no_likelihood_need_recordings_that_diffe
     assert row.identified == (count > 1)
     expected = np.std(rows.mean(axis=1), ddof=1) / np.sqrt(count) if count > 1 else np.nan
     np.testing.assert_allclose(row.sd, expected, rtol=1e-3)
+
+
+def normal(params, measurements):
+    z = (measurements.value - params.mean) / params.sd
+    return -jnp.sum(z * z / 2 + jnp.log(params.sd))
+
+
+def sine(params, measurements):
+    """Of that argument, within which the values' spread does not matter."""
+    return -jnp.sum((jnp.sin(0.3) - jnp.sin(100 * params.mean)) ** 2 + 0 * measurements.value) / 2
+
+
+@pytest.mark.parametrize(
+    ("density", "start", "free", "expected"),
+    [
+        (normal, Normal(0.5, 3e-3), {"mean": "real", "sd": "positive"}, (3e-3, 3e-3 / np.sqrt(2))),
+        (normal, Normal(5e5, 3e5), {"mean": "real", "sd": "positive"}, (3e5, 3e5 / np.sqrt(2))),
+        (sine, Normal(3e-3), {"mean": "real"}, (1 / (100 * np.cos(0.3)),)),
+    ],
+    ids=["small unit", "large unit", "bent"],
+)
+def test_errors_know_no_unit(density, start, free, expected, dtype):
+    """Fisher's information is known; a number whose unit is small, and steep therefore, hides none beside it."""
+    rows = numbers(start.mean + start.sd * np.tile(np.asarray([-1, 1], dtype), 500))
+    names = {path: tuning.transforms.named(name) for path, name in free.items()}
+    problem = tuning.Problem(tuning.density(density), tuning.space(start, names))
+    z = problem.space.pack(start, dtype)
+    found = tuning.estimates(problem, z, tuning.curvature(problem, z, rows))
+    np.testing.assert_allclose([row.sd for row in found], np.array(expected) / np.sqrt(1000), rtol=0.02)
