@@ -179,8 +179,7 @@ def _search(
     draw, key = jax.random.split(jax.random.key(seed))
     points = tuning.disperse(given.space, starts, key=draw, spread=spread, dtype=given.dtype)
     search = tuning.begin(problem, given.method, points)
-    code = pieces.code((*pieces.ESTIMATE, "tuning"))
-    mark = pieces.fingerprint((code, given.label, points, seed, parts))
+    mark = _mark(given, points, seed, parts)
     leads = jax.process_index() == 0
     if checkpoint is not None and leads and checkpoint.exists():
         search = pieces.load(checkpoint, search, mark)
@@ -209,6 +208,16 @@ def _search(
     worth = sum(len(one.counts) for one in given.recordings[:count]) / windows.length
     curvature = tuning.curvature(whole, found.point, part, jax.numpy.stack(keys), worth)
     return found, tuning.estimates(whole, found.point, curvature)
+
+
+def _mark(given: Any, points: Any, seed: int, parts: Any) -> int:
+    """The checksum of all that a search's numbers depend on."""
+    from jaxest.io import pieces
+
+    code = pieces.code((*pieces.ESTIMATE, "tuning", "cli/methods", "cli/tunable"))
+    # Off the start, where all free leaves have moved, each as its constraint has it; the others are frozen.
+    params = given.space.unpack(points[0] + 1)
+    return pieces.fingerprint((code, given.identity, given.windows, params, points, seed, parts))
 
 
 def _scaled(line: str, given: Any) -> str:

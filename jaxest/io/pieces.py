@@ -129,14 +129,15 @@ def load(file: PathLike, like: PyTree, mark: int) -> PyTree:
 
 
 def fingerprint(tree: PyTree) -> int:
-    """Return a checksum of all arrays and texts of a tree, by which pieces of another run are told apart."""
+    """Return a checksum of a tree's arrays and texts, and of where they stand: it tells pieces of other runs apart."""
     import jax
 
     mark = 0
-    for leaf in jax.tree.leaves(tree):
+    for path, leaf in jax.tree_util.tree_flatten_with_path(tree)[0]:
         key = hasattr(leaf, "dtype") and jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)
         array = np.ascontiguousarray(np.asarray(jax.random.key_data(leaf) if key else leaf))
-        mark = zlib.crc32(array.tobytes(), mark)
+        place = f"{jax.tree_util.keystr(path)} {array.dtype} {np.shape(leaf)}"
+        mark = zlib.crc32(array.tobytes(), zlib.crc32(place.encode(), mark))
     return mark
 
 

@@ -7,8 +7,10 @@ import jax
 import numpy as np
 import pytest
 
+from jaxest import tuning
 from jaxest.io import SensorLog, Stream, write
 from jaxest.systems import orientation
+from jaxest.types import InputError
 
 PLAIN = "[orientation]\nproportional_gain = 3.0\nintegral_gain = 0.0012\n"
 TUNE = ("--method", "orientation", "--config", "start.toml", "-o", "tuned.toml")
@@ -73,6 +75,35 @@ def test_a_kept_search_goes_on(invoke, files):
     other = invoke(*words, 4, "--seed", 1)
     assert other.exit_code == 2
     assert "kept.npz: belongs to a run with other data" in other.stderr
+
+
+OTHERS = (
+    (PLAIN.replace("0.0012", "0.9"), ()),  # what is frozen counts
+    (PLAIN + 'update = "projection"\n', ()),
+    (PLAIN, ("--free", "integral_gain")),
+    (PLAIN, ("--free", "proportional_gain=real")),
+    (PLAIN, ("--held-out", 1)),
+    (PLAIN, ("--seed", 1)),
+)
+
+
+def test_only_the_same_search_goes_on(refused, files, monkeypatch):
+    """All that a search's numbers depend on is in the mark; the search itself is left out."""
+
+    def begun(*given, **options):
+        options["keep"](options["search"])
+        raise InputError("begun")
+
+    def said(config, words):
+        (files / "start.toml").write_text(config)
+        return refused("tune", "0.npz", "1.npz", *TUNE, "--checkpoint", "kept.npz", "--starts", 1,
+                       "--free", "proportional_gain", *words)  # fmt: skip
+
+    monkeypatch.setattr(tuning, "minimise", begun)
+    for _ in range(2):
+        assert "begun" in said(PLAIN, ("--evaluations", 9))
+    for config, words in OTHERS:
+        assert "kept.npz: belongs to a run with other data, settings" in said(config, words), (config, words)
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ for.
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxest.cli.methods import METHODS, Request
@@ -45,6 +46,8 @@ class Tunable(NamedTuple):
     settings: Callable[[Any], dict[str, Any]]
     """`params -> ` the config's table of the method, tuned."""
     dtype: Any
+    identity: Any = ()
+    """A tree of all that it depends on beside code, logs and what is free: method, objective, config and robot."""
 
 
 def known(method: str) -> None:
@@ -84,7 +87,18 @@ def prepare(
     known(method)
     if goal and goal not in GOALS:
         raise unknown_name("objective", goal, GOALS)
-    return importlib.import_module(TUNABLE[method]).prepare(sources, request, goal, free)
+    found = importlib.import_module(TUNABLE[method]).prepare(sources, request, goal, free)
+    return found._replace(identity=(method, goal, request.settings, _robot(request.robot)))
+
+
+def _robot(path: Path | None) -> Any:
+    """A robot's numbers and what hangs on what, also of files that its own names."""
+    if path is None:
+        return None
+    from jaxest import kinematics
+
+    robot = kinematics.load(path)
+    return robot, repr(robot.topology)
 
 
 def constrained(free: Mapping[str, str | None], default: Mapping[str, str] | Sequence[str]) -> dict[str, Any]:
