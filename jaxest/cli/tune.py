@@ -34,7 +34,6 @@ EXAMPLES = (
     "jaxest tune shaken.npz -m onsite --objective consistency --free force_noise",
     "jaxest tune a.npz -m deflection --robot arm.urdf -c sensors.toml --objective relaxed --free walk",
 )
-DRAWN = 4, 4  # windows and keys for standard errors of a likelihood that is drawn; all data would take half an hour
 SHOWN = 12  # parameters that a picture has room for
 
 
@@ -91,16 +90,19 @@ def run(
     begun = time.perf_counter()
     with jax.enable_x64(True) if jax.numpy.dtype(given.dtype) == "float64" else nullcontext():
         with working("tuning ...") as say:
-            found, rows = _search(given, starts, spread, held_out, evaluations, seed, checkpoint, say)
+            found, judged = _search(given, starts, spread, held_out, evaluations, seed, checkpoint, say)
         if jax.process_index():
             return Answer(status=DONE)  # the first process writes and prints
         tables = {**({"columns": chosen.columns} if chosen.columns else {}), "nan": chosen.nan, **chosen.tables}
         write_config(out, {**tables, method: given.settings(found.params)}, overwrite=force)
-        kept = tuned.distinct(given.space, rows)
-        for picture in targets[1:]:
-            tuned.draw(picture, given, found, held_out > 0, f"{method}: {given.label}", list(kept)[:SHOWN])
+        kept = tuned.distinct(given.space, judged.estimates)
+        if found.trace.value.size:  # a search that had ended before has no path to draw
+            for picture in targets[1:]:
+                tuned.draw(picture, given, found, held_out > 0, f"{method}: {given.label}", list(kept)[:SHOWN])
+        else:
+            del targets[1:]
     rows = list(kept.values())
-    shown = tuned.rows(given, found, held_out, time.perf_counter() - begun)
+    shown = tuned.rows(given, found, judged, held_out, time.perf_counter() - begun)
     loose = tuned.warned(rows, len(given.recordings) - held_out, given.space.size)
     if json:
         return Answer(json_object(report(NAME, [*shown, *tuned.parameters(given, rows)]), unidentified=loose))
@@ -165,11 +167,12 @@ def _free(text: str | None) -> dict[str, str | None]:
 def _search(
     given: Any, starts: int, spread: float, held_out: int, evaluations: int, seed: int, checkpoint: Path | None,
     say: Callable[[str], None],
-) -> tuple[Any, list[Any]]:  # fmt: skip
+) -> tuple[Any, Any]:  # fmt: skip
     """Run the search, kept in a checkpoint if one is named, and judge where it ended."""
     import jax
 
     from jaxest import parallel, tuning
+    from jaxest.cli import tuned
     from jaxest.io import pieces
 
     batch = tuning.padded(given.recordings)
@@ -199,15 +202,7 @@ def _search(
         progress=progress, keep=keep,
     )  # fmt: skip
     say("standard errors ...")
-    whole = tuning.Problem(given.objective, given.space)
-    if not noisy or given.windows is None:
-        return found, tuning.estimates(whole, found.point, tuning.curvature(whole, found.point, parts[0]))
-    pick, *keys = jax.random.split(jax.random.fold_in(key, evaluations), 1 + DRAWN[1])
-    windows = given.windows._replace(recordings=max(DRAWN[0], count))
-    part = tuning.sample_windows(parts[0], windows, pick)
-    worth = sum(len(one.counts) for one in given.recordings[:count]) / windows.length
-    curvature = tuning.curvature(whole, found.point, part, jax.numpy.stack(keys), worth)
-    return found, tuning.estimates(whole, found.point, curvature)
+    return found, tuned.judge(given, points[0], found.point, parts, jax.random.fold_in(key, evaluations))
 
 
 def _mark(given: Any, points: Any, seed: int, parts: Any) -> int:

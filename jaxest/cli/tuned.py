@@ -2,14 +2,62 @@
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
+from jaxest import tuning
 from jaxest.cli.output import warn
 from jaxest.cli.tables import grid, number
 from jaxest.io.report import Row
+from jaxest.tuning.problem import values_at
+
+DRAWN = 4, 4
+"""Windows and keys by which a likelihood that is drawn is judged; all data would take half an hour."""
+
+
+class Judged(NamedTuple):
+    """A search by what the config had before and has after it, on the same data with the same keys."""
+
+    estimates: list[Any]
+    """`jaxest.tuning.Estimate`, one an entry of the free parameters."""
+    objective: tuple[float, float]
+    """At the start and at the point found, of the logs tuned on."""
+    held_out: tuple[float, float] | None
+    """Of those held out."""
+
+
+def judge(given: Any, start: Any, point: Any, parts: tuple[Any, Any], key: Any) -> Judged:
+    """Evaluate start and end of a search, and what the end is worth.
+
+    Args:
+        given: the tuning.
+        start: (n,) where the config was.
+        point: (n,) what was found.
+        parts: recordings tuned on and held out, None without these.
+        key: of windows, and of what is drawn.
+    """
+    problem = tuning.Problem(given.objective, given.space)
+    (data, held_out), ends = parts, jnp.stack([start, point])
+    keys, worth = None, None
+    if given.objective.random:
+        pick, key = jax.random.split(key)
+        keys = jax.random.split(key, DRAWN[1])
+        count = data.counts.shape[0]
+        windows = given.windows._replace(recordings=max(DRAWN[0], count))
+        data = tuning.sample_windows(data, windows, pick)
+        worth = sum(len(one.counts) for one in given.recordings[:count]) / windows.length
+
+    def both(batch: Any) -> tuple[float, float]:
+        drawn = [values_at(problem, ends, batch, one) for one in ([None] if keys is None else keys)]
+        before, after = np.mean(drawn, axis=0).tolist()
+        return before, after
+
+    curvature = tuning.curvature(problem, point, data, keys, worth)
+    estimates = tuning.estimates(problem, point, curvature)
+    return Judged(estimates, both(data), None if held_out is None else both(held_out))
 
 
 def distinct(space: Any, estimates: list[Any]) -> dict[int, Any]:
@@ -25,20 +73,16 @@ def distinct(space: Any, estimates: list[Any]) -> dict[int, Any]:
     return kept
 
 
-def rows(given: Any, found: Any, held_out: int, took: float) -> list[Row]:
+def rows(given: Any, found: Any, judged: Judged, held_out: int, took: float) -> list[Row]:
     """Return how far the search came: objective, starts, evaluations, seconds `took`."""
-    trace, best = found.trace, int(np.argmin(np.where(np.isfinite(found.values), found.values, np.inf)))
-    shown = []
-    if len(trace.value):
-        last = np.flatnonzero(trace.taken[:, best])
-        end = trace.value[last[-1], best] if last.size else float("nan")
-        shown.append(Row(given.label, "tuned", float(end * given.scale), given.unit, n=len(given.recordings) - held_out,
-                         reference=float(trace.value[0, 0] * given.scale), reference_name="start"))  # fmt: skip
-        if held_out:
-            shown.append(Row(given.label, "held out", float(found.value * given.scale), given.unit, n=held_out,
-                             reference=float(trace.held_out[0, 0] * given.scale), reference_name="start"))  # fmt: skip
-        spread = float(np.ptp(found.values[np.isfinite(found.values)])) * given.scale
-        shown.append(Row("best of each start", "largest less smallest", spread, given.unit, n=len(found.values)))
+    pairs = [("tuned", judged.objective, len(given.recordings) - held_out), ("held out", judged.held_out, held_out)]
+    shown = [
+        Row(given.label, condition, pair[1] * given.scale, given.unit, n=count,
+            reference=pair[0] * given.scale, reference_name="start")
+        for condition, pair, count in pairs if pair is not None
+    ]  # fmt: skip
+    spread = float(np.ptp(found.values[np.isfinite(found.values)])) * given.scale
+    shown.append(Row("best of each start", "largest less smallest", spread, given.unit, n=len(found.values)))
     shown.append(Row("evaluations", f"stopped: {found.stopped}", float(int(found.search.index)), "1"))
     return [*shown, Row("run time", "compilation included", took, "s")]
 
@@ -89,20 +133,18 @@ def table(given: Any, estimates: list[Any]) -> Any:
 
 def draw(path: Path, given: Any, found: Any, judged: bool, title: str, shown: list[int]) -> None:
     """Draw the searches' paths; `shown` are the entries that get a panel."""
-    from jaxest.viz import tuning
+    from jaxest.viz import tuning as viz
 
     trace = found.trace
-    if not len(trace.value):
-        return
     values, held = np.array(trace.value) * given.scale, np.array(trace.held_out) * given.scale
     points = np.array(jax.vmap(jax.vmap(given.space.values))(trace.point))
     for i, taken in enumerate(trace.taken):  # what was tried and refused is not drawn
         for series in (values, held, points):
             series[i, ~taken] = series[i - 1, ~taken] if i else np.nan
     best = int(np.argmin(np.where(np.isfinite(found.values), found.values, np.inf)))
-    tuning.draw(path, values, points[..., shown], names=[given.space.names[i] for i in shown], best=best,
+    viz.draw(path, values, points[..., shown], names=[given.space.names[i] for i in shown], best=best,
                 held_out=held if judged else None,
                 label="objective" if given.unit == "1" else given.unit, title=title)  # fmt: skip
 
 
-__all__ = ["distinct", "doubt", "draw", "parameters", "rows", "table", "warned"]
+__all__ = ["Judged", "distinct", "doubt", "draw", "judge", "parameters", "rows", "table", "warned"]

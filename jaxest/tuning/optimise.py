@@ -223,25 +223,28 @@ def minimise(
     if search is None:
         own = problem.space.pack(problem.space.base)[None] if starts is None else starts
         search = begin(problem, method, own)
-    rows, stopped = [], "evaluations"
+    rows = []
     data = (batch, held_out)
     batch, held_out = jax.tree.map(jnp.asarray, data) if over is None else everywhere(data, over)
-    while int(search.index) < evaluations:
+    while not (stopped := _ended(search, held_out is not None, evaluations, patience)):
         search, (info, loss) = advance(problem, method, search, batch, held_out, key, over)
         rows.append(Trace(*(np.asarray(x) for x in (info.value, loss, info.point, info.taken))))
         keep(search)
         progress(f"evaluation {int(search.index)}: {_best(rows[-1].value):.6g}")
-        if bool(jnp.all(search.descent.converged)):
-            stopped = "converged"
-            break
-        if held_out is not None and bool(jnp.all(search.since >= patience)):
-            stopped = "held out"
-            break
     trace = Trace(*(np.stack(x) for x in zip(*rows, strict=True))) if rows else Trace(*[np.zeros((0, 0))] * 4)
     values = np.asarray(search.best_value)
     first = int(np.argmin(np.where(np.isfinite(values), values, np.inf)))
     point = search.best[first]
     return Result(problem.space.unpack(point), point, float(values[first]), search.best, values, trace, search, stopped)
+
+
+def _ended(search: Search, judged: bool, evaluations: int, patience: int) -> str:
+    """Why a search ends where it is, empty if it goes on."""
+    if bool(jnp.all(search.descent.converged)):
+        return "converged"
+    if judged and bool(jnp.all(search.since >= patience)):
+        return "held out"
+    return "evaluations" if int(search.index) >= evaluations else ""
 
 
 def _best(values: NDArray[Any]) -> float:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from jaxest.tuning.objectives import Objective, per_recording, total
+from jaxest.tuning.objectives import Objective, batched, per_recording, total
 from jaxest.tuning.parameters import Space
 from jaxest.tuning.recordings import Recording, Windows
 from jaxest.types import Array
@@ -54,4 +54,10 @@ def value_and_gradient(problem: Problem, z: Array, batch: Recording, key: Array 
     return push(jnp.eye(z.shape[0], dtype=z.dtype))
 
 
-__all__ = ["FORWARD", "Problem", "goes_forward", "loss_at", "value_and_gradient"]
+@partial(jax.jit, static_argnums=0)
+def values_at(problem: Problem, points: Array, batch: Recording, key: Array | None = None) -> Array:
+    """Return the mean loss (K,) of a batch at points (K, n), drawn with the same key."""
+    return batched(problem.objective)(lambda z: total(problem.objective, problem.space.unpack(z), batch, key))(points)
+
+
+__all__ = ["FORWARD", "Problem", "goes_forward", "loss_at", "value_and_gradient", "values_at"]

@@ -1,17 +1,14 @@
 """Starts far apart, brought near their optima on a part of long recordings, so that few are left for the whole."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxest.tuning.descent import PROBE, Method, lbfgs, unseen
-from jaxest.tuning.objectives import batched, total
 from jaxest.tuning.optimise import Result, minimise
-from jaxest.tuning.problem import Problem
+from jaxest.tuning.problem import Problem, values_at
 from jaxest.tuning.recordings import Recording, Windows, sample_windows
 from jaxest.types import Array
 
@@ -62,7 +59,7 @@ def warm_start(
         """Whether the objective is higher between two points than at the higher one, by what a descent would see."""
         way = np.asarray(BETWEEN, points.dtype)[:, None]
         higher = np.maximum(found.values[i], found.values[j])
-        between = np.asarray(_values(problem, (1 - way) * points[i] + way * points[j], part, draw))
+        between = np.asarray(values_at(problem, (1 - way) * points[i] + way * points[j], part, draw))
         return not (between <= higher + PROBE * np.asarray(unseen(method, jnp.asarray(higher)))).all()
 
     optima: list[list[int]] = []
@@ -80,15 +77,9 @@ def warm_start(
 
 def _lowest(problem: Problem, optima: list[list[int]], points: Array, batch: Recording, key: Array | None) -> list[int]:
     """Which of the points of each optimum is lowest on the whole, the lowest optimum first."""
-    values = np.asarray(_values(problem, points, batch, key))
+    values = np.asarray(values_at(problem, points, batch, key))
     values = np.where(np.isfinite(values), values, np.inf)
     return sorted((min(one, key=lambda i: values[i]) for one in optima), key=lambda i: values[i])
-
-
-@partial(jax.jit, static_argnums=0)
-def _values(problem: Problem, points: Array, part: Recording, key: Array | None) -> Array:
-    """The objective at points (K, n)."""
-    return batched(problem.objective)(lambda z: total(problem.objective, problem.space.unpack(z), part, key))(points)
 
 
 __all__ = ["warm_start"]

@@ -2,18 +2,27 @@
 
 import json
 import tomllib
+from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxest import tuning
+from jaxest.cli import tuned
+from jaxest.cli.tunable import Tunable
 from jaxest.io import SensorLog, Stream, write
 from jaxest.systems import orientation
 from jaxest.types import InputError
 
 PLAIN = "[orientation]\nproportional_gain = 3.0\nintegral_gain = 0.0012\n"
 TUNE = ("--method", "orientation", "--config", "start.toml", "-o", "tuned.toml")
+
+
+class Numbers(NamedTuple):
+    value: object
+    dt: object
 
 
 def shaken(seed, n=400, hz=50.0):
@@ -53,9 +62,9 @@ def test_gains_are_tuned_written_and_better(invoke, files):
     assert fitted["value"] < 0.8 * fitted["reference"]
     assert rows["integral_gain", "free, error unknown"]["spread"] is None  # two logs do not tell how logs differ
     assert "more logs to tune on than free numbers, got 2 for 2" in result.stderr
-    tuned = tomllib.loads((files / "tuned.toml").read_text())
-    assert set(tuned["orientation"]) == {"filter", "proportional_gain", "integral_gain"}
-    assert tuned["orientation"]["proportional_gain"] < 2.0
+    written = tomllib.loads((files / "tuned.toml").read_text())
+    assert set(written["orientation"]) == {"filter", "proportional_gain", "integral_gain"}
+    assert written["orientation"]["proportional_gain"] < 2.0
     assert (files / "tuned.png").stat().st_size > 5000
     plain, better = (
         json.loads(invoke("estimate", "0.npz", "-m", "orientation", "-c", config, "-o", config[:-5], "--json").stdout)
@@ -66,12 +75,45 @@ def test_gains_are_tuned_written_and_better(invoke, files):
     assert invoke("tune", "0.npz", *TUNE).exit_code == 2  # the config is kept unless forced
 
 
+def mean_square(params, one, key):
+    noise = 0 if key is None else jax.random.normal(key)
+    return jnp.mean((one.measurements.value - params["mean"]) ** 2 - params["mean"] * noise)
+
+
+@pytest.mark.parametrize("random", [False, True])
+def test_figures_are_of_the_config_before_and_after_also_once_resumed(random):
+    """Not of what a search evaluated first and last: on the same data, and at the point that is written."""
+    values = np.random.default_rng(0).normal(size=(3, 40)).astype(np.float32)
+    logs = [tuning.recording(Numbers(row, np.ones(40, np.float32))) for row in values]
+    space = tuning.space({"mean": np.float32(3)}, {"mean": tuning.transforms.real})
+    given = Tunable(tuning.Objective(mean_square, random=random), space, logs, "error", "deg", 10.0, None,
+                    tuning.Windows(2, 40) if random else None, None, np.float32)  # fmt: skip
+    start, point = jnp.array([3.0]), jnp.array([0.5])
+    parts = tuning.padded(logs[:2]), tuning.padded(logs[2:])
+    judged = tuned.judge(given, start, point, parts, jax.random.key(0))
+    search = tuning.begin(tuning.Problem(given.objective, space), tuning.lbfgs(), start[None])
+    found = tuning.Result(None, point, 1.0, point[None], np.ones(1), None, search, "converged")
+    rows = {row.condition: row for row in tuned.rows(given, found, judged, 1, 0.0)}
+    for condition, part in (("tuned", values[:2]), ("held out", values[2:])):
+        before, after = (np.mean((part - mean) ** 2) for mean in (3, 0.5))
+        noise = (before - rows[condition].reference / 10) / 3
+        assert (abs(noise) > 1e-3) == random
+        assert rows[condition].value / 10 == pytest.approx(after - noise / 2, abs=1e-5)
+
+
 @pytest.mark.slow
 def test_a_kept_search_goes_on(invoke, files):
-    words = ("tune", "0.npz", *TUNE, "--starts", 1, "--checkpoint", "kept.npz", "--force", "--json", "--evaluations")
-    for evaluations in (2, 4):
-        rows = {row["metric"]: row for row in json.loads(invoke(*words, evaluations).stdout)["rows"]}
-        assert rows["evaluations"]["value"] == evaluations
+    words = ("tune", "0.npz", *TUNE, "--starts", 1, "--checkpoint", "kept.npz", "--force", "--json", "--free",
+             "proportional_gain", "--evaluations")  # fmt: skip
+    shown = []
+    for evaluations in (2, 4, 40, 40):
+        report = json.loads(invoke(*words, evaluations).stdout)
+        rows = {row["metric"]: row for row in report["rows"]}
+        shown.append({row["condition"]: row for row in report["rows"]}["tuned"])
+        assert rows["evaluations"]["value"] == evaluations or evaluations == 40
+    assert "converged" in rows["evaluations"]["condition"]
+    assert len({row["reference"] for row in shown}) == 1
+    assert shown[0]["value"] > shown[1]["value"] >= shown[2]["value"] == shown[3]["value"]
     other = invoke(*words, 4, "--seed", 1)
     assert other.exit_code == 2
     assert "kept.npz: belongs to a run with other data" in other.stderr
