@@ -22,6 +22,10 @@ from jaxest.tuning.problem import Problem, value_and_gradient
 from jaxest.tuning.recordings import Recording, sample_windows
 from jaxest.types import Array, PyTree
 
+JUDGE = np.iinfo(np.int32).max
+"""No evaluation's number, folded into the key of held-out recordings: draws of each evaluation's own would keep the
+luckiest."""
+
 
 class Search(NamedTuple):
     """The state of a search: its checkpoint. Leaves (starts, ...) but for the last two."""
@@ -119,7 +123,7 @@ def advance(
         batch: the recordings (B, T, ...).
         held_out: recordings that only judge.
         key: key of the whole search, for mini-batches and for what is drawn; folded with the evaluation's number, and
-            the same for all starts.
+            the same for all starts. What is held out is drawn in the same way at every evaluation.
         over: devices that take a share of the starts each, as `parallel.mesh` lines them up; one program if None.
 
     Returns:
@@ -156,7 +160,8 @@ def _start(problem: Problem, method: Method, data: Any, state: descent.State) ->
     after, info = descent.step(method, lambda z: value_and_gradient(problem, z, part, draw), state)
     if held_out is None:
         return after, info, jnp.full_like(info.value, jnp.nan)
-    return after, info, total(problem.objective, problem.space.unpack(info.point), held_out, draw)
+    judge = None if key is None else jax.random.fold_in(key, JUDGE)
+    return after, info, total(problem.objective, problem.space.unpack(info.point), held_out, judge)
 
 
 @partial(jax.jit, static_argnums=(0, 5))

@@ -128,7 +128,7 @@ def test_noise_is_recovered_with_honest_errors():
     np.testing.assert_allclose(found.points, np.broadcast_to(found.point, (4, 2)), atol=0.01)
     curved = tuning.curvature(PROBLEM, found.point, BATCH)
     longer = tuning.curvature(PROBLEM, found.point, BATCH, worth=4.0 * len(BATCH.counts))
-    np.testing.assert_allclose(longer.covariance, curved.covariance / 4, rtol=1e-5)
+    np.testing.assert_allclose(longer.covariance, curved.covariance / 4, rtol=2e-3)  # nearer differences
     rows = tuning.estimates(PROBLEM, found.point, curved)
     for row, truth in zip(rows, (0.5, 1.0), strict=True):
         assert abs(row.value - truth) < 3 * row.sd
@@ -209,6 +209,20 @@ def test_held_out_recordings_stop_an_overfit():
     assert found.value == pytest.approx(np.nanmin(held))
     assert held[-1] > found.value
     assert len(held) == np.nanargmin(held) + 1 + 8
+
+
+def test_a_judge_draws_the_same_for_all_points():
+    """Of an objective that is drawn a point that does not move has one held-out value, so that luck keeps none."""
+
+    def drawn_square(params, one, key):
+        return (params.walk - 1.0) ** 2 + jax.random.normal(key)
+
+    problem = tuning.Problem(tuning.Objective(drawn_square, random=True), SPACE)
+    batch = tuning.take(BATCH, slice(0, 1))
+    found = tuning.minimise(problem, batch, held_out=batch, method=tuning.adam(0.0), evaluations=5,
+                            key=jax.random.key(0))  # fmt: skip
+    assert len(set(found.trace.value[:, 0].tolist())) == 5
+    assert len(set(found.trace.held_out[:, 0].tolist())) == 1
 
 
 @pytest.mark.slow
