@@ -49,6 +49,8 @@ def files(tmp_path):
     log = shaken(2)
     write(SensorLog({"orientation": log.streams["orientation"]}), tmp_path / "truth.npz")
     write(SensorLog({k: v for k, v in log.streams.items() if k != "orientation"}), tmp_path / "blind.npz")
+    write(SensorLog({**log.streams, "magnetometer": log.streams["accelerometer"]._replace(unit="T")}),
+          tmp_path / "magnetic.npz")  # fmt: skip
     (tmp_path / "start.toml").write_text(PLAIN)
     return tmp_path
 
@@ -166,6 +168,7 @@ def test_a_truth_of_its_own_and_a_judge(invoke, files):
         (("0.npz", "--held-out", 1), ["--held-out 1", "at least one"]),
         (("blind.npz",), ["no true orientation", "--truth"]),
         (("0.npz", "1.npz", "--truth", "truth.npz"), ["--truth", "one each"]),
+        (("0.npz", "magnetic.npz"), ["magnetic.npz: holds", "magnetometer, expected", "as in 0.npz", "sensors ="]),
         (("0.npz", "--objective", "likelihood"), ["likelihood", "error"]),
         (("0.npz", "--objective", "eror"), ["'eror'", "'error'"]),
         (("absent.npz",), ["absent.npz", "no such file"]),

@@ -34,9 +34,17 @@ def prepare(sources: Sequence[Source], request: Request, goal: str, free: Mappin
     if goal not in ("", "error"):
         raise refuse_goal("orientation", goal, "error against a truth")
     logs = [source._replace(log=to_si(source.log)) for source in sources]
-    choice = orientation.choose(logs[0].log, request)
+    choices = [orientation.choose(source.log, request) for source in logs]
+    choice = choices[0]
+    for source, other in zip(logs, choices, strict=True):
+        if other.kinds != choice.kinds:
+            raise InputError(
+                f"{where(source.log)}holds {', '.join(other.kinds)}, expected {', '.join(choice.kinds)} as in "
+                f"{logs[0].log.source or 'the first log'}; to leave one out, put this into a config:\n"
+                '[orientation]\nsensors = ["gyroscope", "accelerometer"]'
+            )
     system = orientation_filters.system(choice.filter, choice.kinds)
-    recordings = [_recording(source, orientation.choose(source.log, request), request) for source in logs]
+    recordings = [_recording(source, one, request) for source, one in zip(logs, choices, strict=True)]
     whole = "magnetometer" in choice.kinds
     params = choice.filter.params
     prefix = "filter." if choice.filter.name == "complementary" else ""
