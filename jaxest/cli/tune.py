@@ -170,6 +170,7 @@ def _search(
 ) -> tuple[Any, Any]:  # fmt: skip
     """Run the search, kept in a checkpoint if one is named, and judge where it ended."""
     import jax
+    import numpy as np
 
     from jaxest import parallel, tuning
     from jaxest.cli import tuned
@@ -201,6 +202,10 @@ def _search(
         key=key if noisy or given.windows else None, over=parallel.several() if starts > 1 else None,
         progress=progress, keep=keep,
     )  # fmt: skip
+    if not np.isfinite(found.values).any():
+        raise bad_input(
+            f"{given.label}: not finite from any of {starts} start(s), expected one; begin elsewhere (--config)"
+        )
     say("standard errors ...")
     return found, tuned.judge(given, points[0], found.point, parts, jax.random.fold_in(key, evaluations))
 

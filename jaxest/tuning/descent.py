@@ -97,7 +97,7 @@ class State(NamedTuple):
     average: Array
     """(n,) mean of the points of the later half of a descent without backtracking."""
     converged: Array
-    """() bool."""
+    """() bool; also where the first value is not finite, for there is nowhere to go. Only with backtracking."""
     index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
     """() int32, evaluations."""
 
@@ -151,7 +151,7 @@ def step(method: Method, evaluate: ValueAndGradient, state: State) -> tuple[Stat
     after = jax.tree.map(lambda a, b: jnp.where(taken, a, b), moved, stayed)
     after = after._replace(
         value=jnp.where(taken, value, state.value),
-        converged=state.converged | (after.converged & ~(first & ~taken)),
+        converged=state.converged | after.converged,
         average=_averaged(state, taken),
         index=state.index + 1,
     )

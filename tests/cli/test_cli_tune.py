@@ -150,6 +150,13 @@ def test_only_the_same_search_goes_on(refused, files, monkeypatch):
         assert "kept.npz: belongs to a run with other data, settings" in said(config, words), (config, words)
 
 
+def test_a_search_that_finds_nothing_finite_writes_nothing(refused, files, monkeypatch):
+    nothing = tuning.Result(None, None, np.inf, None, np.full(2, np.inf), None, None, "evaluations")
+    monkeypatch.setattr(tuning, "minimise", lambda *given, **options: nothing)
+    assert "not finite from any of 2 start(s)" in refused("tune", "0.npz", *TUNE, "--starts", 2)
+    assert not (files / "tuned.toml").exists()
+
+
 @pytest.mark.slow
 def test_a_truth_of_its_own_and_a_judge(invoke, files):
     result = invoke("tune", "0.npz", "blind.npz", *TUNE, "--truth", "0.npz", "--truth", "truth.npz", "--held-out", 1,

@@ -120,6 +120,19 @@ def test_an_optimiser_of_optax_goes_down(transform):
     assert state.value < 0.2 * valley(jnp.array([-1.0, 2.0]))
 
 
+@pytest.mark.parametrize("starts", [[[0.5, 0.0], [3.0, 0.0]], [[3.0, 0.0]]], ids=["one of two", "all"])
+def test_a_start_that_is_not_finite_keeps_no_search_going(starts):
+    def cliff(params, measurements):
+        z = jnp.log(params.walk)
+        return jnp.where(z > 2, jnp.nan, -1 - z**2)
+
+    problem = tuning.Problem(tuning.density(cliff), SPACE)
+    found = tuning.minimise(problem, tuning.take(BATCH, slice(0, 1)), starts=jnp.array(starts), evaluations=30)
+    assert found.stopped == "converged"
+    assert len(found.trace.value) < 20
+    assert np.isfinite(found.values).tolist() == [start[0] < 2 for start in starts]
+
+
 def test_noise_is_recovered_with_honest_errors():
     """The generating values lie within three standard errors, and starts far apart end at one optimum."""
     starts = tuning.disperse(SPACE, 4, key=jax.random.key(1), spread=1.5)
