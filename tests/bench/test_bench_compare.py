@@ -18,7 +18,7 @@ def script(name):
 
 def row(metric, value, unit="us", ratio=None, peer=None):
     return {"metric": metric, "condition": "a | b", "value": value, "unit": unit, "spread": 0.1, "n": 5,
-            "reference": None if ratio is None else value * ratio, "reference_name": peer, "ratio": ratio}  # fmt: skip
+            "reference": ratio and value * ratio, "reference_name": peer, "ratio": ratio}  # fmt: skip
 
 
 def written(path, *rows):
@@ -43,6 +43,28 @@ def test_what_became_slower_is_said(tmp_path, capsys):
     assert compare.main([old, new, "--tolerance", "1.6"]) == 0
     with pytest.raises(SystemExit, match="not a result"):
         compare.main([str(tmp_path / "absent.json"), new])
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ([("step", 9.0, "us", 4.0, "C"), ("step", 9.0, "us", 2.0, "NumPy")],
+         [("step", 9.0, "us", 0.4, "C"), ("step", 9.0, "us", 2.0, "NumPy")], "10.00x  step | a | b (ratio to C)"),
+        ([("step", 9.0, "us", 4.0, "C")], [("step", 18.0, "us")], "2.00x  step | a | b (value in us"),
+        ([("error", 1.0, "deg")], [("error", None, "deg")], "infx  error | a | b (lost its value)"),
+        ([("draws", 90.0, "1/s")], [("draws", 30.0, "1/s")], "3.00x  draws"),
+        ([("draws", 90.0, "1", 4.0, "C")], [("draws", 90.0, "1", 2.0, "C")], "2.00x  draws | a | b (ratio to C)"),
+        ([("posterior", 0.1, "sd")], [("posterior", 0.5, "sd")], "5.00x  posterior"),
+    ],
+    ids=["peers", "peer gone", "value gone", "rate", "ratio", "sd"],
+)  # fmt: skip
+def test_nothing_that_became_worse_goes_by(tmp_path, capsys, before, after, said):
+    compare = script("compare")
+    files = [written(tmp_path / f"{i}.json", *(row(*one) for one in rows)) for i, rows in enumerate((before, after))]
+    assert compare.main(files) == 1
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("WORSE ") and said in first
+    assert compare.main(files[:1] * 2) == 0
 
 
 def test_kept_results_can_be_read_and_compared(tmp_path, monkeypatch, capsys):
