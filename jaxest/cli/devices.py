@@ -27,7 +27,13 @@ def _split(count: int | None) -> int | None:
 
 Devices = Annotated[
     int | None,
-    typer.Option("--devices", min=1, callback=_split, help="Split the processor into so many devices; chains use all."),
+    typer.Option(
+        "--devices",
+        min=1,
+        callback=_split,
+        is_eager=True,  # before `--join`, which starts JAX, in whatever order they are typed
+        help="Split the processor into so many devices; chains use all.",
+    ),
 ]
 
 

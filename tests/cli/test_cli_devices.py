@@ -62,6 +62,13 @@ def test_starts_are_spread_and_processes_joined(tmp_path):
     assert (tmp_path / "joined0.toml").read_text() == (tmp_path / "alone.toml").read_text()
 
 
+@pytest.mark.parametrize("words", [("--join", "host0", "--devices", "2"), ("--devices", "2", "--join", "host0")])
+def test_the_processor_is_split_before_processes_join(invoke, words):
+    """Joining starts JAX, which can then no longer be split; that it cannot here is said first, in either order."""
+    jax.devices()
+    assert "JAX runs already" in invoke("tune", "log.npz", "-m", "orientation", *words).stderr
+
+
 def test_a_place_that_is_none_is_refused(invoke):
     result = invoke("tune", "log.npz", "-m", "orientation", "--join", "host0")
     assert result.exit_code == 2
