@@ -95,7 +95,7 @@ class State(NamedTuple):
     memory: PyTree
     """The optimiser's."""
     average: Array
-    """(n,) mean of the points of the later half of a descent without backtracking."""
+    """(n,) mean of the points, the later the heavier: of the i-th of k evaluations by 2 (i - 1) / (k (k - 1))."""
     converged: Array
     """() bool; also where the first value is not finite, for there is nowhere to go. Only with backtracking."""
     index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
@@ -239,7 +239,10 @@ def _shortened(method: Method, state: State) -> State:
 
 
 def _averaged(state: State, taken: Array) -> Array:
-    """Mean of the points since half of the evaluations: each weighs as those before it die away, 1 / (k / 2)."""
+    """Mean of the points; a share 2 / k for the newest makes weights grow evenly with the number of the evaluation.
+
+    Source: Shamir, Zhang 2013 (Stochastic gradient descent for non-smooth optimization), polynomial decay of order 1.
+    """
     weight = jnp.minimum(2.0 / (state.index + 1).astype(state.trial.dtype), 1.0)
     return jnp.where(taken, state.average + weight * (state.trial - state.average), state.average)
 

@@ -32,9 +32,10 @@ class Search(NamedTuple):
 
     descent: descent.State
     best: Array
-    """(starts, n) the point that is kept: the lowest on the held-out recordings, or on all without them."""
+    """(starts, n) the point that is kept: the lowest on the held-out recordings, or on all without them; without them,
+    of mini-batches or what is drawn, the descent's `average`."""
     best_value: Array
-    """(starts,)"""
+    """(starts,) as `Result.values`."""
     since: Array
     """(starts,) int32, evaluations since it was found."""
     index: Array  # type: ignore[assignment]  # the contract's name hides a method of tuple
@@ -62,10 +63,12 @@ class Result(NamedTuple):
     point: Array
     """(n,) that point."""
     value: float
+    """Its entry of `values`."""
     points: Array
     """(starts, n) each start's best point."""
     values: NDArray[Any]
-    """(starts,) the objective there: on all recordings, or on the held-out ones where there are any."""
+    """(starts,) the objective there: on all recordings, or on the held-out ones where there are any. Without these,
+    what is drawn or of mini-batches is not evaluated at the mean that is kept: the value of the last point taken."""
     trace: Trace
     search: Search
     stopped: str
@@ -173,7 +176,7 @@ def _moved(
     better = info.taken & (judged < search.best_value)
     noisy = problem.windows is not None or problem.objective.random
     if noisy and alone:  # no evaluation is comparable with another: the last points' mean is kept
-        return Search(states, states.average, info.value, jnp.zeros_like(search.since), search.index + 1)
+        return Search(states, states.average, states.value, jnp.zeros_like(search.since), search.index + 1)
     return Search(
         states,
         jnp.where(better[:, None], info.point, search.best),
@@ -223,6 +226,9 @@ def minimise(
 
     Returns:
         The result. A start whose best value is not finite never found one.
+
+    Raises:
+        ValueError: no step of the recordings, or of those held out, counts.
     """
     method = lbfgs() if method is None else method
     if search is None:
@@ -230,6 +236,9 @@ def minimise(
         search = begin(problem, method, own)
     rows = []
     data = (batch, held_out)
+    for name, one in zip(("batch", "held_out"), data, strict=True):
+        if one is not None and not np.any(one.counts):
+            raise ValueError(f"{name}: no step counts, expected at least one")
     batch, held_out = jax.tree.map(jnp.asarray, data) if over is None else everywhere(data, over)
     while not (stopped := _ended(search, held_out is not None, evaluations, patience)):
         search, (info, loss) = advance(problem, method, search, batch, held_out, key, over)

@@ -109,10 +109,11 @@ def sample_windows(batch: Recording, windows: Windows, key: Array) -> Recording:
         key: random key.
 
     Returns:
-        Leaves (windows, length, ...), each cut at a uniform place of its recording; all of a short one, padded.
+        Leaves (windows, length, ...), each cut at a uniform place of its recording, at latest where its last step that
+        counts is the window's last; all of a short one, padded.
 
     Raises:
-        ValueError: a window is longer than the batch, or nothing in it counts.
+        ValueError: a window is longer than the batch, or no longer than it takes to settle.
     """
     items, longest = np.shape(batch.counts)
     if not windows.settle < windows.length <= longest:

@@ -238,6 +238,23 @@ def test_a_judge_draws_the_same_for_all_points():
     assert len(set(found.trace.held_out[:, 0].tolist())) == 1
 
 
+def test_recordings_that_say_nothing_are_refused():
+    nothing = BATCH._replace(counts=np.zeros_like(BATCH.counts))
+    for name, batch, held_out in (("batch", nothing, None), ("held_out", BATCH, nothing)):
+        with pytest.raises(ValueError, match=f"{name}: no step counts"):
+            tuning.minimise(PROBLEM, batch, held_out=held_out)
+
+
+def test_what_is_kept_without_backtracking_is_a_mean_with_growing_weights():
+    method = tuning.adam(0.1)
+    state, points = descent.init(method, jnp.array([2.0, 1.0])), []
+    step = jax.jit(lambda s: descent.step(method, jax.value_and_grad(valley), s))
+    for _ in range(6):
+        state, info = step(state)
+        points.append(info.point)
+    np.testing.assert_allclose(state.average, np.average(points, axis=0, weights=np.arange(6)), rtol=1e-6)
+
+
 @pytest.mark.slow
 def test_mini_batches_of_a_particle_filter_come_near_the_exact_optimum():
     system = particles(particle.filter_step(FILTER._replace(resample=tuning.fading(FILTER.resample, 0.9))), 64)
