@@ -197,11 +197,13 @@ def _search(
         say(f"{line} {given.unit}" if given.scale == 1 else _scaled(line, given))
 
     noisy = given.objective.random
-    found = tuning.minimise(
-        problem, parts[0], method=given.method, search=search, held_out=parts[1], evaluations=evaluations,
-        key=key if noisy or given.windows else None, over=parallel.several() if starts > 1 else None,
-        progress=progress, keep=keep,
-    )  # fmt: skip
+    again = "start all again" if checkpoint is None else f"start all again, {checkpoint} has the search so far"
+    with parallel.together(f"in the search; {again}"):
+        found = tuning.minimise(
+            problem, parts[0], method=given.method, search=search, held_out=parts[1], evaluations=evaluations,
+            key=key if noisy or given.windows else None, over=parallel.several() if starts > 1 else None,
+            progress=progress, keep=keep,
+        )  # fmt: skip
     if not np.isfinite(found.values).any():
         raise bad_input(
             f"{given.label}: not finite from any of {starts} start(s), expected one; begin elsewhere (--config)"

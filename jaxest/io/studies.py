@@ -6,7 +6,6 @@ same results, on any number of devices and processes; of several processes, that
 
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -63,7 +62,9 @@ def study(
             part = jax.tree.map(np.asarray, parallel.from_first(blank if old is None else old))
         else:
             rows = np.minimum(np.arange(first, first + piece), count - 1)
-            part = _together(run, jax.tree.map(lambda x, rows=rows: x[rows], items), first, parallel.gather)
+            kept = "start all again with the same folder, earlier pieces are kept"
+            with parallel.together(f"in the piece from run {first}; {kept}"):
+                part = parallel.gather(run(jax.tree.map(lambda x, rows=rows: x[rows], items)))
             fresh += piece
             if file is not None:
                 pieces.save(file, part, mark)
@@ -76,25 +77,6 @@ def study(
     if place is not None:
         save_state(place / MERGED, whole, overwrite=True)
     return whole
-
-
-LOST = ("Gloo", "NCCL", "UNAVAILABLE", "heartbeat")
-"""Words of JAX's errors where another process has gone."""
-
-
-def _together(run: Any, part: PyTree, first: int, gather: Any) -> PyTree:
-    """Run one piece on all processes."""
-    import jax
-
-    try:
-        return gather(run(part))
-    except (jax.errors.JaxRuntimeError, ValueError) as error:
-        if jax.process_count() == 1 or not any(word in str(error) for word in LOST):
-            raise
-        raise RuntimeError(
-            f"another process was lost in the piece from run {first}; start all again with the same folder, earlier "
-            f"pieces are kept ({str(error).splitlines()[0]})"
-        ) from error
 
 
 __all__ = ["MERGED", "study"]

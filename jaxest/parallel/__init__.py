@@ -10,7 +10,7 @@ The particles of one filter are no independent items: `particles.filter_step(mod
 
 from jaxest.parallel import particles
 from jaxest.parallel.devices import Spread, everywhere, gather, mesh, one_by_one, several, shards
-from jaxest.parallel.hosts import Place, from_first, start
+from jaxest.parallel.hosts import Place, from_first, start, together
 
 __all__ = [
     "Place",
@@ -24,4 +24,5 @@ __all__ = [
     "several",
     "shards",
     "start",
+    "together",
 ]

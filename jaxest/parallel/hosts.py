@@ -1,5 +1,7 @@
 """Several processes, on one host or many, as one JAX program."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import jax
@@ -9,6 +11,9 @@ from jaxest.types import InputError, PyTree
 
 PATIENCE = 30
 """s without a sign of life after which a process counts as lost."""
+
+LOST = ("Gloo", "NCCL", "UNAVAILABLE", "heartbeat")
+"""Words of JAX's errors where another process has gone."""
 
 
 class Place(NamedTuple):
@@ -72,6 +77,24 @@ def parse(text: str) -> tuple[str, int, int] | tuple[None, None, None]:
     return address, int(rank), int(count)
 
 
+@contextmanager
+def together(words: str) -> Iterator[None]:
+    """Say it plainly where another process goes while this one computes with it.
+
+    Args:
+        words: where that was, and what to do now.
+
+    Raises:
+        RuntimeError: another process was lost, as JAX tells in one of many ways.
+    """
+    try:
+        yield
+    except (jax.errors.JaxRuntimeError, ValueError) as error:
+        if jax.process_count() == 1 or not any(word in str(error) for word in LOST):
+            raise
+        raise RuntimeError(f"another process was lost {words} ({str(error).splitlines()[0]})") from error
+
+
 def from_first(tree: PyTree) -> PyTree:
     """Bring what the process of rank 0 holds to all: what it has read from a file, say.
 
@@ -88,4 +111,4 @@ def from_first(tree: PyTree) -> PyTree:
     return jax.tree.map(np.asarray, broadcast_one_to_all(tree))
 
 
-__all__ = ["PATIENCE", "Place", "from_first", "parse", "start"]
+__all__ = ["PATIENCE", "Place", "from_first", "parse", "start", "together"]

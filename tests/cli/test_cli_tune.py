@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxest import tuning
+from jaxest import parallel, tuning
 from jaxest.cli import tuned
 from jaxest.cli.tunable import Tunable
 from jaxest.io import SensorLog, Stream, write
@@ -155,6 +155,17 @@ def test_a_search_that_finds_nothing_finite_writes_nothing(refused, files, monke
     monkeypatch.setattr(tuning, "minimise", lambda *given, **options: nothing)
     assert "not finite from any of 2 start(s)" in refused("tune", "0.npz", *TUNE, "--starts", 2)
     assert not (files / "tuned.toml").exists()
+
+
+def test_a_lost_process_is_told_and_what_to_do(invoke, files, monkeypatch):
+    def lost(*given, **options):
+        raise ValueError("Gloo AllGather failed: connection closed by peer")
+
+    monkeypatch.setattr(tuning, "minimise", lost)
+    monkeypatch.setattr(jax, "process_count", lambda: 2)
+    monkeypatch.setattr(parallel, "from_first", lambda tree: tree)
+    with pytest.raises(RuntimeError, match=r"lost in the search; start all again, kept\.npz has the search so far"):
+        invoke("tune", "0.npz", *TUNE, "--starts", 1, "--checkpoint", "kept.npz")
 
 
 @pytest.mark.slow
