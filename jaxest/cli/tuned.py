@@ -48,7 +48,7 @@ def judge(given: Any, start: Any, point: Any, parts: tuple[Any, Any], key: Any) 
         count = data.counts.shape[0]
         windows = given.windows._replace(recordings=max(DRAWN[0], count))
         data = tuning.sample_windows(data, windows, pick)
-        worth = sum(len(one.counts) for one in given.recordings[:count]) / windows.length
+        worth = sum(len(one.counts) for one in given.recordings[:count]) / (windows.length - windows.settle)
 
     def both(batch: Any) -> tuple[float, float]:
         drawn = [values_at(problem, ends, batch, one) for one in ([None] if keys is None else keys)]

@@ -13,7 +13,8 @@ from jaxest.types import InputError
 
 NOISY = ("concentration", "lam", "variance")
 FADING = 0.9  # share of the score's past that a step carries on
-WINDOW = 100  # steps of a mini-batch's windows
+WINDOW = 120  # steps of a mini-batch's windows
+SETTLING = 6  # of so many one in which the filter, which begins a window where a log begins, finds the arm
 RATE = 0.1
 RELAXED = 64  # particles at most, for the work and the memory of a relaxation go with their square
 
@@ -57,7 +58,8 @@ def prepare(sources: Sequence[Source], request: Request, goal: str, free: Mappin
             home[way[-1]] = plain(leaves[path])
         return table
 
-    windows = tuning.Windows(min(4, len(recordings)), min(WINDOW, shortest))
+    length = min(WINDOW, shortest)
+    windows = tuning.Windows(min(4, len(recordings)), length, length // SETTLING)
     label = "minus log-likelihood of a window" + (", relaxed" if goal == "relaxed" else "")
     return Tunable(tuning.likelihood(system, random=True), space, recordings, label, "1",
                    1.0, tuning.adam(RATE), windows, tuned, np.float32)  # fmt: skip
