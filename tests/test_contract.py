@@ -98,14 +98,17 @@ ROWS = [
     ),
 ]
 EAGERLY_SLOW = (
-    "kalman",
-    "posture",
-    "onsite",
-    "slam",
-    "slam_free",
+    "attitude_ekf",
     "deflection_guided",
     "deflection_joints",
+    "kalman",
+    "onsite",
+    "particle_bootstrap",
     "particle_guided",
+    "posture",
+    "slam",
+    "slam_free",
+    "torque",
 )
 """Their step is hundreds of small programs without `jit`, which take long to compile."""
 STEPS = 12

@@ -24,7 +24,8 @@ def test_robots_are_for_kinematics():
         bench.rows("orientation", robots=["panda.xml"])
 
 
-@pytest.mark.parametrize("peers", [pytest.param("installed", marks=pytest.mark.slow), "absent", "unwanted"])
+@pytest.mark.slow
+@pytest.mark.parametrize("peers", ["installed", "absent", "unwanted"])
 def test_orientation(peers, monkeypatch):
     if peers == "absent":
         for module in ("orientation", "attitude_peers"):

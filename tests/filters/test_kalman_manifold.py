@@ -296,6 +296,7 @@ def test_shapes_are_checked(x64):
         kalman.update(body.BODY, belief, factor, iterations=0)
 
 
+@pytest.mark.slow
 def test_consistency(x64):
     """500 runs; the sampling error of their mean NEES over 6 is sqrt(2 / 3000) = 0.026 at one step."""
     params = jax.tree.map(jnp.float64, body.Params())

@@ -29,6 +29,7 @@ def drawn(imu, rows):
     return Imu(*(x[rows] for x in imu))
 
 
+@pytest.mark.slow
 def test_a_late_clock_and_lost_samples(rod):
     a, p, truth = rod
     kept = np.random.default_rng(0).uniform(size=STEPS) > 0.03

@@ -107,6 +107,7 @@ def test_gaussian_noise_gives_much_the_same():
     assert np.abs(np.asarray(circle.wrap(one.mean - two.mean))[0, 2:]).max() < 0.06
 
 
+@pytest.mark.slow
 def test_others_come_with_the_measurement_or_stay_at_home():
     """A marker beyond a joint that is not estimated is understood with that joint's measured angle."""
     sensors = (Sensor("joint_angle", "encoders"), Sensor("link_position", "tip", ("site:end_effector",)))
@@ -218,7 +219,8 @@ def snake(joints):
     return robot, (Sensor("joint_angle", "encoders"), *imus)
 
 
-@pytest.mark.parametrize("joints", [8, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("joints", [8, 20])
 def test_long_chains_keep_their_particles(joints):
     """IMUs on every second link: the share of particles, and the error beside that of encoders alone."""
     robot, sensors = snake(joints)
