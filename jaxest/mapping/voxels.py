@@ -125,8 +125,9 @@ def _added(chart: VoxelMap, rows: Array, new: Array, about: Array, most: float =
     mean = found[:, :COUNT] / jnp.where(count > 0, count, 1)
     share = jnp.where(count > 2 * most, 0.5, 1.0).astype(found.dtype)
     total = total.at[rows].set(share * found, mode="drop")
-    central = share * (found[:, MOMENT:CARRIED] - count * squares(mean - about))
-    total = total.at[rows, MOMENT:CARRIED].set(central, mode="drop")
+    # Written behind the rest: put into the rows, each number of a row would choose whether it is one of these.
+    moment = share * (found[:, MOMENT:CARRIED] - count * squares(mean - about))
+    total = total.at[rows, MOMENT:CARRIED].set(moment, mode="drop")
     return chart._replace(total=total, point=chart.point.at[rows].set(mean, mode="drop"))
 
 

@@ -38,6 +38,7 @@ from jaxest.systems._slam_tilt import begin, carries, unknowns
 from jaxest.systems._slam_types import FOLLOWS, FULL, LOST, UNSEEN, Fixed, Free, Info, Params, State
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike, Reading, System
 
+LEAST = 12  # inliers
 SURE = 2.0  # deviations of a motion that make it one
 MEMORY = 50  # steps
 SURPRISE = 9.0  # squared deviations per dimension by which a link's points may correct the prediction
@@ -51,7 +52,7 @@ def build(
     capacity: int = 16384,
     points: int = 128,
     rounds: int = 6,
-    least: int = 12,
+    least: int = LEAST,
     central: bool = False,
     align: bool = False,
 ) -> System:

@@ -96,7 +96,7 @@ def build(
     capacity: int = 16384,
     points: int = 128,
     iterations: int = 10,
-    least: int = 12,
+    least: int = slam.LEAST,
 ) -> System:
     """Build the paper's SLAM of one robot.
 

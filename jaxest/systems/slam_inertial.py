@@ -3,10 +3,9 @@
 A filter of the IMU's pose, velocity and biases beside `jaxest.systems.slam`: between two scans it integrates the
 samples, which tells SLAM how the root moved and how well that is known; where SLAM then finds the root corrects
 velocity and biases. A root that is lost, or sees nothing, goes on by its IMU. The world's z is up, as the robot's
-gravity says. Where points tell little, the way by the IMU counts in both filters: the root is taken for too sure.
+gravity says. Where points tell little, the way by the IMU counts in both filters: covariances are too small there.
 """
 
-import inspect
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple
@@ -131,8 +130,7 @@ def build(robot: Robot, sensors: Sequence[Proximity], imu: str, **options: Any) 
         turn, place = np.asarray(robot.site_quaternion[at - bodies]), np.asarray(robot.site_position[at - bodies])
     mount = se3.Pose(turn, place)
     inner = slam.build(robot, sensors, **options)
-    least = options.get("least", inspect.signature(slam.build).parameters["least"].default)
-    setup = Setup(inner, least, mount, np.asarray(robot.gravity, float))
+    setup = Setup(inner, options.get("least", slam.LEAST), mount, np.asarray(robot.gravity, float))
 
     def simulate(params: Params, **drawing: Any) -> Any:
         return inner.simulate(params.inner, **drawing)
@@ -190,8 +188,7 @@ def _step(
     carried = jax.tree.map(lambda a, b: jnp.where(state.index == 0, a, b), before, carried)
     track, inner = _corrected(carried, inner, back, jnp.any(info.inliers >= setup.least) | ~whole)
     mean = track.mean
-    status = jnp.where(broken & (info.status == NOT_CONVERGED), NON_FINITE, info.status)
-    status = jnp.where(broken & (status == OK), NON_FINITE, status)
+    status = jnp.where(broken & jnp.isin(info.status, np.array([OK, NOT_CONVERGED])), NON_FINITE, info.status)
     status = jnp.where(~held & (status == OK), OUT_OF_RANGE, status).astype(jnp.int32)
     out = Info(info, mean.velocity, mean.gyroscope, mean.accelerometer, whole, status)
     return State(inner, track, state.index + 1), out
@@ -206,8 +203,15 @@ def _anywhere(params: Params, dtype: Any) -> Array:
 def _corrected(track: Gaussian, inner: slam.State, back: se3.Pose, told: Array) -> tuple[Gaussian, slam.State]:
     """Bring in where SLAM finds the root, with the covariance that it has there.
 
-    Where the scan told nothing (`told` is False), SLAM's root is only where the IMU has brought it, and would come back
-    as news; there the root is as uncertain as the IMU's track is, whose errors of velocity and biases last.
+    Args:
+        track: the IMU's, at this scan.
+        inner: SLAM's state after it.
+        back: root to IMU.
+        told: () bool, whether SLAM's root is not just where the IMU has brought it: that would come back as news. Where
+            it is, the root is as uncertain as the track, whose errors of velocity and biases last.
+
+    Returns:
+        The track, and SLAM's state.
     """
     place, turned = inner.mean.position, inner.mean.quaternion
 
