@@ -99,6 +99,31 @@ def test_errors_move_as_the_transition_says(x64):
     assert np.max(np.abs(np.asarray(slope) - np.eye(16))) > 0.03
 
 
+def test_a_specific_force_stands_for_the_time_since_the_last(x64):
+    """At a third of the gyroscope's rate its pushes are as long; beyond `hold` something is unseen."""
+    count, dt, force = 12, 0.01, np.array([1.0, 2.0, 9.81])
+    rows = complementary.imu(np.zeros((count, 3)), np.tile(force, (count, 1)), dt=np.full(count, dt))
+    third = rows.accelerometer._replace(valid=np.arange(count) % 3 == 2)
+    none = rows.accelerometer._replace(valid=np.zeros(count, bool))
+    track = motion.Track(quat.identity(jnp.float64), *(jnp.zeros(n) for n in (2, 2, 3, 3, 3)))
+
+    def moved(rows, since, hold):
+        body = lambda carry, row: (motion.integrate(*carry, usable(row, jnp.float64), hold), None)  # noqa: E731
+        return jax.lax.scan(body, (track, since), rows)[0]
+
+    start = motion.begin(jnp.float64)
+    for some in (rows, rows._replace(accelerometer=third)):
+        end, since = moved(some, start, 0.25)
+        np.testing.assert_allclose(end.velocity, force[:2] * count * dt)
+        np.testing.assert_allclose(since.push, force * count * dt)
+        assert float(since.afloat) == float(since.waiting) == 0
+    _, since = moved(rows._replace(accelerometer=none), start, 0.05)
+    assert float(since.afloat) == pytest.approx(count * dt - 0.05)
+    end, since = moved(jax.tree.map(lambda x: x[:1], rows), motion.again(since), 0.05)  # a correction in between
+    np.testing.assert_allclose(end.velocity, force[:2] * 0.05)
+    assert float(since.afloat) == pytest.approx(dt)
+
+
 def test_an_imu_rests_when_it_is_still(dtype):
     still, memory = rest.Rest(*(np.asarray(x, dtype) for x in rest.Rest())), rest.begin(dtype)
     watch = jax.jit(rest.watch)

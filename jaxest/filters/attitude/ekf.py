@@ -25,7 +25,7 @@ from jaxest.filters import kalman
 from jaxest.filters.attitude import rest as resting
 from jaxest.filters.attitude.ekf_state import Info, Memory, Params, State, closed, init, opened
 from jaxest.filters.attitude.field import heading_slope, mahalanobis, trust
-from jaxest.filters.attitude.motion import MANIFOLD, Track, begin, carry, integrate
+from jaxest.filters.attitude.motion import MANIFOLD, Track, again, begin, carry, integrate
 from jaxest.filters.attitude.vectors import length, levelled, northward
 from jaxest.filters.imu import Imu, Sample, usable
 from jaxest.manifolds import quaternion as quat
@@ -102,7 +102,7 @@ def correct(params: Params, state: State) -> State:
     belief, _ = kalman.update(MANIFOLD, belief, factors)
     memory = memory._replace(
         track=belief.mean,
-        since=begin(state.numbers.dtype),
+        since=again(memory.since),
         doubt=doubt,
         weights=jnp.where(jnp.stack([jnp.bool_(True), memory.since.fields > 0]), weights, memory.weights),
         lost=~jnp.isfinite(jnp.sum(belief.covariance)),

@@ -47,7 +47,7 @@ class Params(NamedTuple):
     rejection_time: ArrayLike = 60.0
     """() s of rejected readings after which the field is learned anew."""
     hold: ArrayLike = 0.25
-    """() s, longest time that one rate stands for; beyond, the sensor may have turned unseen."""
+    """() s, longest time that one rate or specific force stands for; beyond, the sensor may have moved unseen."""
     unseen_rotation: ArrayLike = 1.0
     """() rad/s/sqrt(Hz), density of the rotation that a missing rate hides."""
     unseen_force: ArrayLike = 2.0
@@ -102,7 +102,7 @@ class State(NamedTuple):
     """
 
     numbers: Array
-    """(66,) all that `Memory` names, one leaf after the other."""
+    """(67,) all that `Memory` names, one leaf after the other."""
     upper: Array
     """(8, 16) first rows of the covariance of the errors at the last correction."""
     lower: Array
@@ -187,7 +187,7 @@ def _layout() -> tuple[list[tuple[tuple[int, ...], bool]], Any]:
 
     one, two, three, flag = shape(), shape(2), shape(3), shape(flag=True)
     track = Track(shape(4), two, two, three, three, three)
-    since = Since(one, shape(3, 3), shape(3, 3), three, one, one, one, three, one, three, one)
+    since = Since(one, shape(3, 3), shape(3, 3), three, one, one, one, three, one, three, one, one)
     still = resting.Stillness(three, three, one, shape(2, flag=True))
     leaves, structure = jax.tree.flatten(Memory(track, since, still, one, one, two, flag, flag, flag))
     return [(leaf.shape, leaf.dtype == bool) for leaf in leaves], structure

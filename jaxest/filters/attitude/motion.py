@@ -74,7 +74,7 @@ class Since(NamedTuple):
     blind: Array
     """() s without a rate."""
     afloat: Array
-    """() s without a specific force."""
+    """() s that no specific force stands for."""
     rate: Array
     """(3,) rad/s, sum of the gyro's readings."""
     rates: Array
@@ -83,12 +83,19 @@ class Since(NamedTuple):
     """(3,) sum of the magnetometer's readings, turned into the frame of the orientation."""
     fields: Array
     """() number of them."""
+    waiting: Array
+    """() s since the last specific force, corrections or not: the next one stands for this time too."""
 
 
 def begin(dtype: Any) -> Since:
     """Return the sums of no sample."""
     scalar, vector, matrix = (jnp.zeros(shape, dtype) for shape in ((), 3, (3, 3)))
-    return Since(scalar, matrix, matrix, vector, scalar, scalar, scalar, vector, scalar, vector, scalar)
+    return Since(scalar, matrix, matrix, vector, scalar, scalar, scalar, vector, scalar, vector, scalar, scalar)
+
+
+def again(since: Since) -> Since:
+    """Return the sums of no sample behind a correction."""
+    return begin(since.time.dtype)._replace(waiting=since.waiting)
 
 
 def integrate(track: Track, since: Since, sample: Sample, hold: ArrayLike) -> tuple[Track, Since]:
@@ -97,8 +104,8 @@ def integrate(track: Track, since: Since, sample: Sample, hold: ArrayLike) -> tu
     Args:
         track: the estimate at the previous sample.
         since: sums since the last correction.
-        sample: values and flags; what is missing counts as no rotation and as no acceleration.
-        hold: () s, longest time that one rate stands for.
+        sample: values and flags; a missing rate counts as no rotation, a missing force waits for the next.
+        hold: () s, longest time that one rate stands for, and one specific force.
 
     Returns:
         The estimate at this sample, and the sums.
@@ -108,24 +115,27 @@ def integrate(track: Track, since: Since, sample: Sample, hold: ArrayLike) -> tu
     covered = jnp.where(gyro.valid, jnp.minimum(dt, hold), 0)
     orientation = quat.retract(track.orientation, rate * covered)
     matrix = quat.to_matrix(orientation)
-    force = jnp.sum(matrix * acc.value[None, :], axis=1)  # the flat part is the acceleration; 0 where missing
+    waiting = since.waiting + dt
+    stood = jnp.where(acc.valid, jnp.minimum(waiting, hold), 0)
+    push = jnp.sum(matrix * acc.value[None, :], axis=1) * stood  # its flat part is the sensor's own
     moved = track._replace(
         orientation=orientation,
-        velocity=track.velocity + force[:2] * dt,
+        velocity=track.velocity + push[:2],
         position=track.position + track.velocity * dt,
     )
     sums = Since(
         since.time + dt,
         since.turn + matrix * covered,
         since.sweep + matrix * (rate * covered)[None, :],
-        since.push + force * dt,
+        since.push + push,
         since.stir + jnp.sum(rate * rate) * covered,
         since.blind + (dt - covered),
-        since.afloat + jnp.where(acc.valid, 0, dt),
+        since.afloat + jnp.maximum(waiting - hold, 0) - jnp.maximum(since.waiting - hold, 0),
         since.rate + gyro.value,
         since.rates + gyro.valid,
         since.field + jnp.where(mag.valid, jnp.sum(matrix * mag.value[None, :], axis=1), 0),
         since.fields + mag.valid,
+        jnp.where(acc.valid, 0, waiting),
     )
     return moved, Since(*(jnp.asarray(s, dt.dtype) for s in sums))
 
@@ -154,4 +164,4 @@ def carry(scale: Array, since: Since) -> Array:
     return transition.at[5:7, 3:5].set(two * since.time)
 
 
-__all__ = ["MANIFOLD", "EarthRotation", "Since", "Track", "begin", "carry", "integrate"]
+__all__ = ["MANIFOLD", "EarthRotation", "Since", "Track", "again", "begin", "carry", "integrate"]
