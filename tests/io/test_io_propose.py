@@ -7,6 +7,7 @@ import pytest
 
 from jaxest.io import propose, read, to_toml
 from jaxest.io.columns import parse
+from jaxest.io.plausible import time_unit
 from jaxest.io.words import classify
 from jaxest.types import InputError
 
@@ -132,6 +133,22 @@ def test_the_likely_unit_of_stamps_is_proposed(tmp_path, step, unit):
     guess = propose(save(tmp_path, gyr=np.zeros((N, 3)), t=np.arange(N) * step))
     assert guess.table.time_unit == unit
     assert f"is open (median step {step:g}); {unit} is likely" in guess.unsure[0]
+
+
+@pytest.mark.parametrize(
+    ("start", "step", "unit"),
+    [
+        (600_000_000_000, 10_000, ""),  # us, up for a week
+        (600_000_000, 10_000, ""),  # us, up for ten minutes
+        (1_700_000_000_000, 10_000_000, ""),  # ns, up for half an hour
+        (1_700_000_000_000, 10, "ms"),
+        (1_700_000_000_000, 1040, "ms"),  # 1 Hz
+        (1_700_000_000_000_000_000, 10_000_000_000, "ns"),  # 0.1 Hz; there is nothing finer
+        (1_700_000_000, 1, "s"),
+    ],
+)
+def test_stamps_since_1970_have_a_step_that_fits(start, step, unit):
+    assert time_unit(start + step * np.arange(20)) == unit
 
 
 def test_the_pasted_lines_read_the_file(tmp_path):
