@@ -300,6 +300,22 @@ def test_a_file_that_is_replaced_is_read_from_its_start(tmp_path):
     assert found.time == 3
 
 
+def test_a_file_that_is_replaced_is_first_read_to_its_end(tmp_path):
+    path = tmp_path / "log.jsonl"
+    path.write_text('{"time": 0}\n')
+    source = live.from_file(path, wait=0)
+    assert next(source).time == 0
+    with path.open("a") as file:
+        file.writelines(f'{{"time": {i}, "gyroscope": {[0.1] * 1000}}}\n' for i in range(1, 50))
+        file.write('{"time": 50, "gy')
+    path.rename(tmp_path / "log.1")
+    path.write_text('{"time": 51}\n')
+    found = [item for item in (next(source) for _ in range(60)) if item is not live.IDLE]
+    assert [item.time for item in found if isinstance(item, live.Sample)] == [*range(1, 50), 51]
+    (broken,) = (item for item in found if isinstance(item, str))
+    assert "line 51: not a line of JSON" in broken
+
+
 def test_a_file_that_is_replaced_again_and_again_stays_one_open_file(tmp_path):
     path = tmp_path / "log.jsonl"
     open_files = Path("/proc/self/fd")
