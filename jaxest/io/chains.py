@@ -39,7 +39,8 @@ def sample(
         iterations: how many in all.
         piece: iterations of a piece; two lengths at most are compiled.
         folder: where pieces are kept, made if it is not there; kept nowhere if None.
-        identity: arrays that the draws depend on (data, parameters); a folder with pieces of others is refused.
+        identity: arrays and texts that the draws depend on (data, parameters, sampler); a folder with pieces of others
+            is refused. Nothing else tells one `advance` from another: give a name of the sampler and its settings.
         say: told how far it is and how long it will take.
 
     Returns:

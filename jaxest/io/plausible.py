@@ -12,6 +12,7 @@ _FIELD = {"uT": (15.0, 100.0), "mG": (150.0, 1000.0), "nT": (15e3, 100e3), "mT":
 _FIELD_G, _FIELD_1 = (0.15, 0.9), (0.9, 1.1)
 FASTEST = 70.0  # rad/s: twice the range of common gyroscopes
 _SHARE = 99  # percent of the samples that must be slower
+_SLOWEST = 1.5  # s between two samples that nobody doubts: 1 Hz, and its jitter
 
 
 def _finite(value: NDArray[Any]) -> NDArray[np.float64]:
@@ -48,13 +49,17 @@ def field_unit(value: NDArray[Any]) -> str:
 
 
 def time_unit(stamps: NDArray[Any]) -> str:
-    """Return the unit of stamps (n,) from their size since 1970, or from their step; nothing where it is open."""
+    """Return the unit of stamps (n,) from their size since 1970 and their step; nothing where it is open.
+
+    A clock in us that has run for a week reads as ms since 1970, but then ticks a thousand times too slowly.
+    """
     if stamps.dtype.kind == "M" or len(stamps) < 2:
         return "s"
+    step = float(np.median(np.diff(stamps.astype(np.float64))))
     for unit, per_second in (("ns", 1e9), ("us", 1e6), ("ms", 1e3), ("s", 1.0)):
         if 5e8 < float(stamps[0]) / per_second < 5e9:  # 1985 to 2128
-            return unit
-    return "s" if float(np.median(np.diff(stamps.astype(np.float64)))) < 0.5 else ""
+            return "" if step / per_second > _SLOWEST and likely_time_unit(step) else unit
+    return "s" if step < 0.5 else ""
 
 
 def likely_time_unit(step: float) -> str:

@@ -68,7 +68,9 @@ def guess(raw: Raw) -> Proposal:
 def _word(name: str, value: NDArray[Any]) -> Word:
     """What a name says; dates are stamps whatever they are called."""
     word = classify(name)
-    return word if value.dtype.kind != "M" or word.kind == "time" else Word("time", "", "", "")
+    if value.dtype.kind != "M":
+        return word
+    return word._replace(unit="") if word.kind == "time" else Word("time", "", "", "")
 
 
 def _listing(raw: Raw) -> str:

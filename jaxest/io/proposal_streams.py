@@ -35,7 +35,7 @@ def find(raw: Raw, words: dict[str, Word], assumed: list[str], unsure: list[str]
         unsure: gets a sentence for each thing that only the user knows.
 
     Returns:
-        The streams by name, without clocks, their units as far as names say them.
+        The streams by name, without clocks, their units as names state them, known or not.
     """
     found: dict[str, Found] = {}
     groups: dict[tuple[str, str], list[str]] = {}
@@ -60,8 +60,9 @@ def find(raw: Raw, words: dict[str, Word], assumed: list[str], unsure: list[str]
         parts = {words[n].component for n in names}
         names = sorted(names, key=lambda n: _place(words[n].component))
         value = np.stack([raw.arrays[n] for n in names], axis=-1) if _equal(raw, names) else np.zeros((0, 0))
-        units_of = {words[n].unit for n in names}
-        column = Column(columns=tuple(names), unit=units_of.pop() if len(units_of) == 1 else "")
+        stated = list(dict.fromkeys(words[n].unit for n in names))
+        unit = stated[0] if len(stated) == 1 else ", ".join(text or "none" for text in stated) if kind else ""
+        column = Column(columns=tuple(names), unit=unit)
         kind = kind or ("position" if parts == {"x", "y", "z"} and _is_length(column.unit) else "")
         tilts = parts <= _EULER and len(parts) > 2  # of an IMU, which has no joints
         if kind and len(value) and _named(kind, value) and not (kind.startswith("joint") and tilts):
@@ -83,8 +84,8 @@ def _joints_by_unit(
     raw: Raw, words: dict[str, Word], rest: list[str], found: dict[str, Found], assumed: list[str]
 ) -> list[str]:
     """Take columns called by a name and a unit of angles (`lift_deg`, `knee_deg`) for joints; return the rest."""
-    angles = [n for n in rest if words[n].owner and words[n].unit and units.lookup(words[n].unit).si == "rad"]
-    angles = [n for n in angles if raw.arrays[n].ndim == 1 and not words[n].component]
+    angles = [n for n in rest if words[n].owner and raw.arrays[n].ndim == 1 and not words[n].component]
+    angles = [n for n in angles if words[n].unit and units.lookup(words[n].unit).si == "rad"]
     called = [words[n].owner for n in angles]
     alike = len({words[n].unit for n in angles}) == 1 and _equal(raw, angles)
     if "joint_position" in found or len(angles) < 2 or not alike or _NO_JOINTS & set(called) or set(called) <= _EULER:

@@ -10,7 +10,8 @@ from jaxest.io.columns import Column
 from jaxest.io.proposal_streams import Found
 from jaxest.io.raw import Raw
 from jaxest.io.table_streams import rate_of
-from jaxest.io.words import Word
+from jaxest.io.words import Word, fits
+from jaxest.types import listed
 
 
 def clock(raw: Raw, words: dict[str, Word], name: str, entry: Found, assumed: list[str], unsure: list[str]) -> Column:
@@ -38,7 +39,9 @@ def clock(raw: Raw, words: dict[str, Word], name: str, entry: Found, assumed: li
         column, unit = column._replace(time=times[0]), words[times[0]].unit
     stamps = _stamps(raw, column)
     time_unit = unit or plausible.time_unit(stamps)
-    if not time_unit:
+    if not fits("time", unit or "s"):
+        unsure.append(f"{name}: the unit of its stamps {column.time!r} is {unit!r}, expected s, ms, us or ns")
+    elif not time_unit:
         step = float(np.median(np.diff(stamps.astype(np.float64))))
         time_unit = plausible.likely_time_unit(step)
         likely = f"; {time_unit} is likely" if time_unit else ""
@@ -56,6 +59,8 @@ def _rate(raw: Raw, words: dict[str, Word], name: str, entry: Found, assumed: li
         return entry.column
     if len(mine) > 1:
         unsure.append(f"{name}: the sampling rate could be any of {', '.join(mine)}")
+    if scalars[mine[0]].unit not in ("", "Hz", "s"):
+        unsure.append(f"{name}: the unit of {mine[0]} is not Hz or s; add rate = ... in Hz")
     value = float(raw.arrays[mine[0]].reshape(()))
     assumed.append(f"{mine[0]} = {value:.6g} taken as sampling {scalars[mine[0]].kind}")
     rate: float | str = 1 / value if scalars[mine[0]].kind == "period" and value > 0 else mine[0]
@@ -77,9 +82,12 @@ def with_unit(raw: Raw, name: str, streams: dict[str, Found], assumed: list[str]
     """
     column, value, _ = streams[name]
     kind = units.kind_of(name)
-    if column.unit or kind not in units.KINDS:
-        return column
     unit = units.default_unit(name)
+    if column.unit or kind not in units.KINDS:
+        if column.unit and kind in units.KINDS and not fits(kind, column.unit):
+            what = column.array or listed(map(str, column.columns))
+            unsure.append(f"{name}: the unit of {what} is {column.unit!r}, expected one known unit, such as {unit!r}")
+        return column
     acc = _beside(name, streams)
     if kind == "accelerometer":
         unit = plausible.acceleration_unit(value)
@@ -117,7 +125,7 @@ def _in_degrees(raw: Raw, name: str, streams: dict[str, Found]) -> bool | None:
     """Say whether a gyroscope is in deg/s by how its accelerometer turned; None where this does not tell."""
     column, value, _ = streams[name]
     acc = _beside(name, streams)
-    if acc is None:
+    if acc is None or not fits("time", column.time_unit or "s"):
         return None
     return plausible.in_degrees(plausible.rate_check(_seconds(raw, column, len(value)), value, acc))
 

@@ -34,7 +34,8 @@ def study(
         piece: items of a piece; the last one is filled up with copies of its last item, so that one program serves.
         folder: where pieces are kept and, at the end, merged to `results.npz`; made if it is not there; kept nowhere
             if None.
-        identity: further arrays that results depend on; a folder with pieces of others is refused.
+        identity: further arrays and texts that results depend on; a folder with pieces of others is refused. Nothing
+            else tells one `run` from another: give a name of the function and its settings.
         say: told how far it is, on the process of rank 0.
 
     Returns:

@@ -18,6 +18,7 @@ class Word(NamedTuple):
     component: str
     """`x`, `y`, `z`, `w`, a number or a joint's name, or nothing."""
     unit: str
+    """Of a name with a kind as it is in brackets, whether or not it is a unit of the kind (`fits`)."""
 
 
 _KINDS = {
@@ -96,10 +97,10 @@ def classify(name: str) -> Word:
         tokens = [t for t in tokens[1:] if t in _UNIT_TOKENS]
     if kind == "time" and not unit:  # a clock may be called by its unit: `millis`
         unit = next((_UNIT_TOKENS[t] for t in before if t in _CLOCKS), "")
-    if not unit and tokens and _fits(kind, _UNIT_TOKENS.get(tokens[-1], "")):
+    if not unit and tokens and fits(kind, _UNIT_TOKENS.get(tokens[-1], "")):
         unit = _UNIT_TOKENS[tokens[-1]]
         tokens = tokens[:-1]
-    unit = unit if _fits(kind, unit) else ""
+    unit = unit if fits(kind, unit) or (bracket and kind and _states(unit)) else ""
     if unit and not kind and not component:
         tokens, kind, component = _joint(tokens, unit)
     # A word that says the kind once more is nobody's name: `Quat_q0`, `time_stamp`.
@@ -138,7 +139,12 @@ def _by_name(tokens: list[str]) -> tuple[str, list[str], str]:
     return ("joint_position", [], name) if name else ("", tokens, "")
 
 
-def _fits(kind: str, unit: str) -> bool:
+def _states(text: str) -> bool:
+    """Say whether what is in brackets is to be understood as a unit: `[0]`, `(-)` and `(UTC)` are not."""
+    return any(letter.isalpha() for letter in text) and text.lower() not in _EMPTY
+
+
+def fits(kind: str, unit: str) -> bool:
     """Say whether the unit can belong to the kind, so that `g` is gravity only behind an acceleration."""
     try:
         entry = units.for_stream(kind, unit)

@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import math
 import signal
 import threading
 import time
@@ -37,7 +38,7 @@ class Outcome(NamedTuple):
     late: int
     """Samples refused because their stamp was not after the one before."""
     broken: int
-    """Samples refused: they could not be read, had unknown streams or other shapes, or a stamp far ahead."""
+    """Items refused: not to be read, no `Sample`, unknown streams or other shapes, a stamp far off or not finite."""
     flagged: int
     """Steps whose info has a status other than 0."""
     masked: dict[str, int]
@@ -71,8 +72,10 @@ def drive(
 
     The step is compiled before the first sample is taken. A sample whose stamp is not after the one before is refused
     and counted; so is one that cannot be read, and one whose stamp is more than `gap` ahead, unless the next one agrees
-    with it: one wrong stamp must not make all later samples late. A step beyond its deadline is counted and used all
-    the same: skipping it would lose a measurement. Numbers are those of `jaxest.filters.run` on the same measurements.
+    with it: one wrong stamp must not make all later samples late. The very first stamp is given up where the next two
+    agree with each other and are more than `gap` before or after it. A step beyond its deadline is counted and used
+    all the same: skipping it would lose a measurement. Numbers are those of `jaxest.filters.run` on the same
+    measurements.
 
     Args:
         step: an estimator's step.
@@ -134,7 +137,8 @@ class _Tally:
         self.latency = lat.empty()
         self.messages: list[str] = []
         self._gap, self._tell = gap, tell
-        self._ahead: float | None = None
+        self._alone = time is None  # whether at most one stamp was seen, which may be the wrong one
+        self._off: float | None = None
 
     def say(self, message: str) -> None:
         if len(self.messages) < KEPT:
@@ -148,23 +152,31 @@ class _Tally:
 
     def in_time(self, stamp: float) -> bool:
         """Whether a sample with this stamp may be used; says so where not."""
+        if not _finite(stamp):
+            self.refuse(f"sample with the stamp {stamp!r:.60}, expected a finite number of seconds")
+            return False
         if self.time is None:
             return True
-        ahead, self._ahead = self._ahead, None
-        if not stamp > self.time:
+        off, self._off = self._off, None
+        agrees = off is not None and 0 < stamp - off <= self._gap
+        far = abs(stamp - self.time) > self._gap
+        if self._alone and agrees:
+            self.time = off
+        elif not stamp > self.time and not (self._alone and far):
             self.late += 1
             if self.steps:
                 self.say(f"sample at {stamp:.6f} s: not after the one before, {self.time:.6f} s; refused as late")
             elif self.late == 1:
                 self.say(f"sample at {stamp:.6f} s: the state has seen all up to {self.time:.6f} s; these are refused")
             return False
-        if stamp - self.time > self._gap and not (ahead is not None and 0 < stamp - ahead <= self._gap):
-            self._ahead = stamp
+        elif far and not agrees:
+            self._off = stamp
             self.refuse(
-                f"sample at {stamp:.6g} s: more than {self._gap:g} s after the one before, {self.time:.6f} s; "
+                f"sample at {stamp:.6g} s: more than {self._gap:g} s from the one before, {self.time:.6f} s; "
                 "refused, unless the next one agrees (gap= takes longer silences)"
             )
             return False
+        self._alone = False
         return True
 
     def look(self, info: Any) -> None:
@@ -174,6 +186,12 @@ class _Tally:
             self.flagged += 1
             if self.flagged == 1:
                 self.say(f"step at {self.time:.6f} s: status {status}{_meaning(status)}")
+
+
+def _finite(stamp: Any) -> bool:
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
+        return math.isfinite(stamp)
+    return False
 
 
 def _meaning(status: int) -> str:
@@ -191,9 +209,10 @@ def _loop(
     for item in source:
         if stopped.is_set():
             return "interrupted"
-        if isinstance(item, str):
-            tally.refuse(item)
+        if item is None:
+            continue
         if not isinstance(item, Sample):
+            tally.refuse(item if isinstance(item, str) else f"got {type(item).__name__}, expected a Sample")
             continue
         begun = time.perf_counter()
         if not tally.in_time(item.time):

@@ -140,7 +140,9 @@ def from_udp(port: int, host: str = "127.0.0.1", *, wait: float = 0.1, ready: An
 def from_file(path: Path | str, *, follow: bool = True, wait: float = 0.005) -> Source:
     """Read a file of JSON lines, and go on as it grows.
 
-    A line counts once its end is written. A file that is cut short or replaced is read again from its start.
+    A line counts once its end is written. A file that is replaced is read to its end, then the new one from its start.
+    One that is cut short is read again from its start, unless it has by then grown beyond what was read of it: nobody
+    sees that, and lines are lost.
 
     Args:
         path: the file; it may not exist yet if it is followed.
@@ -157,15 +159,14 @@ def from_file(path: Path | str, *, follow: bool = True, wait: float = 0.005) -> 
     file: BinaryIO | None = None
     try:
         while True:
-            if file is None or _replaced(path, file, place):
-                if file is not None:
-                    file.close()
+            if file is None:
                 file = _opened(path, follow)
                 if file is None:
                     yield IDLE
                     time.sleep(wait)
                     continue
                 place, number, rest = os.fstat(file.fileno()).st_ino, 0, b""
+            replaced = _replaced(path, file, place)  # asked before reading, as lines may come between
             piece = file.read(PIECE)
             *lines, rest = (rest + piece).split(b"\n")
             for line in lines:
@@ -174,10 +175,14 @@ def from_file(path: Path | str, *, follow: bool = True, wait: float = 0.005) -> 
                     yield _sample_or_text(line, f"{path}: line {number}")
             _refuse_endless(rest, f"{path}: line {number + 1}")
             if not piece:
+                if rest.strip() and (replaced or not follow):
+                    yield _sample_or_text(rest, f"{path}: line {number + 1}")
                 if not follow:
-                    if rest.strip():
-                        yield _sample_or_text(rest, f"{path}: line {number + 1}")
                     return
+                if replaced:
+                    file.close()
+                    file = None
+                    continue
                 yield IDLE
                 time.sleep(wait)
     finally:

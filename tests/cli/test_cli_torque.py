@@ -48,8 +48,8 @@ def ready(invoke, tmp_path):
 WORDS = ("estimate", "log.npz", "-m", "torque", "--robot", "arm.xml", "-c", "c.toml")
 
 
-def test_a_constant_torque_in_pieces(invoke, ready, tmp_path):
-    """A run that is stopped after some pieces, and goes on, is the run that was never stopped."""
+def test_a_constant_torque_in_pieces(invoke, refused, ready, tmp_path):
+    """A run that is stopped and goes on is the run that was never stopped; another sampler's is refused."""
     ready(*SHORT, 'compare = "motor"')
     result = invoke(*WORDS, "--work", "kept", "--json", "-o", "whole")
     assert result.exit_code == 3  # so few draws must not be used, and the command says so
@@ -70,6 +70,8 @@ def test_a_constant_torque_in_pieces(invoke, ready, tmp_path):
     other = read(tmp_path / "again" / "estimate.npz")
     for name, item in found.streams.items():
         np.testing.assert_array_equal(other.streams[name].value, item.value)
+    ready(*SHORT, 'sampler = "mh"')
+    assert "belongs to a run with other data, settings" in refused(*WORDS, "--work", "kept")
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import pytest
 
 from jaxest.io import propose, read, to_toml
 from jaxest.io.columns import parse
+from jaxest.io.plausible import time_unit
 from jaxest.io.words import classify
 from jaxest.types import InputError
 
@@ -52,6 +53,11 @@ RNG = np.random.default_rng(0)
         ("time_stamp [us]", ("time", "", "", "us")),
         ("Zeit (ms)", ("time", "", "", "ms")),
         ("us", ("time", "", "", "us")),
+        ("time (h)", ("time", "", "", "h")),
+        ("time (UTC)", ("time", "", "", "")),
+        ("tau1 [kNm]", ("joint_torque", "", "1", "kNm")),
+        ("q (-)", ("joint_position", "", "", "")),
+        ("gyr[0]", ("gyroscope", "", "", "")),
         ("shoulder_pos [deg]", ("joint_position", "", "shoulder", "deg")),
         ("right_elbow_vel_rads", ("joint_velocity", "", "right_elbow", "rad/s")),
         ("tool_x [mm]", ("", "tool", "x", "mm")),
@@ -132,6 +138,50 @@ def test_the_likely_unit_of_stamps_is_proposed(tmp_path, step, unit):
     guess = propose(save(tmp_path, gyr=np.zeros((N, 3)), t=np.arange(N) * step))
     assert guess.table.time_unit == unit
     assert f"is open (median step {step:g}); {unit} is likely" in guess.unsure[0]
+
+
+@pytest.mark.parametrize(
+    ("start", "step", "unit"),
+    [
+        (600_000_000_000, 10_000, ""),  # us, up for a week
+        (600_000_000, 10_000, ""),  # us, up for ten minutes
+        (1_700_000_000_000, 10_000_000, ""),  # ns, up for half an hour
+        (1_700_000_000_000, 10, "ms"),
+        (1_700_000_000_000, 1040, "ms"),  # 1 Hz
+        (1_700_000_000_000_000_000, 10_000_000_000, "ns"),  # 0.1 Hz; there is nothing finer
+        (1_700_000_000, 1, "s"),
+    ],
+)
+def test_stamps_since_1970_have_a_step_that_fits(start, step, unit):
+    assert time_unit(start + step * np.arange(20)) == unit
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        ("time [s],q1 [deg],q2 [rad]", "unit of q1 [deg], q2 [rad] is 'deg, rad', expected one known unit"),
+        ("time [s],q1 [deg],q2", "unit of q1 [deg], q2 is 'deg, none'"),
+        ("time [s],q1 [ticks],q2 [ticks]", "unit of q1 [ticks], q2 [ticks] is 'ticks'"),
+        ("time [s],tau1 [mNm],tau2 [kNm]", "'mNm, kNm', expected one known unit, such as 'Nm'"),
+        ("time [0.1ms],q1,q2", "unit of its stamps 'time [0.1ms]' is '0.1ms', expected s, ms, us or ns"),
+        ("time (h),q1 [-],q2 [-]", "unit of its stamps 'time (h)' is 'h'"),
+    ],
+)
+def test_a_unit_that_is_stated_is_never_another_one(tmp_path, names, message):
+    rows = [f"{0.01 * i},10,{0.1 * i}" for i in range(20)]
+    (tmp_path / "log.csv").write_text("\n".join([names, *rows]))
+    with pytest.raises(InputError) as error:
+        read(tmp_path / "log.csv")
+    assert message in str(error.value)
+    with pytest.raises(InputError, match="unit"):  # nor where nobody changes the lines that are proposed
+        read(tmp_path / "log.csv", tomllib.loads(to_toml(propose(tmp_path / "log.csv")))["columns"])
+
+
+def test_counts_of_an_imu_and_a_period_in_other_units_are_asked(tmp_path):
+    arrays = {"gyr [LSB]": np.zeros((N, 3)), "acc": np.tile([0, 0, 9.81], (N, 1)), "dt [ms]": 10.0}
+    found = propose(save(tmp_path, **arrays))
+    assert "gyroscope: the unit of gyr [LSB] is 'LSB', expected one known unit, such as 'rad/s'" in found.unsure
+    assert "gyroscope: the unit of dt [ms] is not Hz or s; add rate = ... in Hz" in found.unsure
 
 
 def test_the_pasted_lines_read_the_file(tmp_path):

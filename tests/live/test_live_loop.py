@@ -197,8 +197,31 @@ def test_a_wrong_stamp_does_not_make_all_later_samples_late(wrong):
     outcome = counted([1, 2, 3, *wrong, 4, 5], tell=told.append)
     assert (outcome.steps, outcome.late, outcome.broken, outcome.time) == (5, 0, len(wrong), 5)
     assert float(outcome.state) == 4
-    assert "more than 60 s after the one before" in outcome.messages[0]
+    assert "more than 60 s from the one before" in outcome.messages[0]
     assert tuple(told) == outcome.messages
+
+
+@pytest.mark.parametrize("wrong", [1e9, -1e9])
+def test_a_first_stamp_that_is_wrong_does_not_either(wrong):
+    outcome = counted([wrong, 1, 2, 3, 2, 4])
+    assert (outcome.steps, outcome.late, outcome.broken, outcome.time) == (4, 1, 1, 4)
+    assert float(outcome.state) == 3
+    outcome = counted([1, wrong, 2, 3])
+    assert (outcome.steps, outcome.late + outcome.broken, outcome.time) == (3, 1, 3)
+    outcome = counted([1, 2, -100, -99])  # two that agree: a clock that starts again
+    assert (outcome.steps, outcome.late) == (2, 2)
+
+
+def test_what_is_no_sample_or_has_no_finite_stamp_is_refused():
+    good = [live.Sample(float(t), {"gyroscope": [1, 0, 0]}) for t in range(3)]
+    stamps = [good[0]._replace(time=t) for t in (float("nan"), None, float("inf"), "1", 10**400)]
+    source = iter([*stamps[:1], good[0], *stamps[1:], (1.0, {}), {"time": 1.5}, live.IDLE, *good[1:]])
+    outcome = live.drive(added, None, jnp.float32(0), source, template(), deadline=10.0)
+    assert (outcome.steps, outcome.late, outcome.broken, outcome.time) == (3, 0, 7, 2)
+    assert outcome.messages[0] == "sample with the stamp nan, expected a finite number of seconds"
+    told = []
+    live.drive(added, None, jnp.float32(0), iter([(1.0, {}), {}]), template(), tell=told.append)
+    assert told == ["got tuple, expected a Sample", "got dict, expected a Sample"]
 
 
 def test_after_a_long_silence_the_second_sample_is_believed():
@@ -298,6 +321,22 @@ def test_a_file_that_is_replaced_is_read_from_its_start(tmp_path):
     path.write_text('{"time": 3}\n')
     found = next(item for item in source if item is not live.IDLE)
     assert found.time == 3
+
+
+def test_a_file_that_is_replaced_is_first_read_to_its_end(tmp_path):
+    path = tmp_path / "log.jsonl"
+    path.write_text('{"time": 0}\n')
+    source = live.from_file(path, wait=0)
+    assert next(source).time == 0
+    with path.open("a") as file:
+        file.writelines(f'{{"time": {i}, "gyroscope": {[0.1] * 1000}}}\n' for i in range(1, 50))
+        file.write('{"time": 50, "gy')
+    path.rename(tmp_path / "log.1")
+    path.write_text('{"time": 51}\n')
+    found = [item for item in (next(source) for _ in range(60)) if item is not live.IDLE]
+    assert [item.time for item in found if isinstance(item, live.Sample)] == [*range(1, 50), 51]
+    (broken,) = (item for item in found if isinstance(item, str))
+    assert "line 51: not a line of JSON" in broken
 
 
 def test_a_file_that_is_replaced_again_and_again_stays_one_open_file(tmp_path):

@@ -132,7 +132,8 @@ def _draw(robot: Any, series: Series, request: Request, kind: str) -> Drawn:
     kernel = torque_sampler.sampler(sampler, model)
     go = torque_posterior.advance(kernel, params, data, _keep(2 * n))
     _, (history, path) = sample(go, start, iterations, piece=min(PIECE, iterations), folder=request.work,
-                                identity=(params, data), say=request.say)  # fmt: skip
+                                identity=(sampler, kind, settings.get("passive", False), params, data),
+                                say=request.say)  # fmt: skip
     found = torque_posterior.collect(model, history, has_path=sampler != "collapsed", labels=tuple(robot.joint_names))
     if walks:
         draws = np.asarray(path)[iterations // 4 :].reshape(-1, len(series.time), n)
