@@ -139,6 +139,19 @@ def test_a_known_torque_is_not_made_up_where_it_is_not_known():
     np.testing.assert_allclose(taken("missing", time=time, value=holes)[:, 0], 10 * time, atol=1e-9)
 
 
+def test_columns_with_names_are_never_taken_by_position():
+    time, joints = np.arange(20) / 100, ("shoulder", "elbow")
+
+    def taken(*names):
+        item = Stream(time, np.tile([1.0, 2.0], (20, 1)), "rad", names=names)
+        return torque_series.series(SensorLog({"q": item}), {}, joints, "error")
+
+    np.testing.assert_array_equal(taken("elbow", "shoulder").angles[0], [2, 1])
+    np.testing.assert_array_equal(taken().angles[0], [1, 2])
+    with pytest.raises(InputError, match=r"'q': its columns are elbow_joint, shoulder, none of them 'elbow'; expected"):
+        taken("elbow_joint", "shoulder")
+
+
 def test_pieces_are_for_methods_that_have_them(refused, ready):
     message = refused("estimate", "log.npz", "-m", "orientation", "--work", "kept")
     assert "the method 'orientation' keeps no pieces" in message

@@ -76,9 +76,17 @@ def series(log: SensorLog, settings: Mapping[str, Any], joints: tuple[str, ...],
 
 
 def _columns(log: SensorLog, name: str, item: Stream, joints: tuple[str, ...]) -> NDArray[np.float64]:
+    """A stream's columns in the robot's order, (T, n): by their names, by position only where they have none."""
     value = np.asarray(item.value, float)
     value = value.reshape(len(value), -1)
-    if item.names and set(joints) <= set(item.names):
+    if item.names:
+        absent = [joint for joint in joints if joint not in item.names]
+        if absent:
+            raise InputError(
+                f"{where(log)}stream {name!r}: its columns are {', '.join(item.names)}, none of them {absent[0]!r}; "
+                f"expected the robot's joints {', '.join(joints)}, or whose they are in the config: "
+                f'[columns."{name}"] names = [...]'
+            )
         return value[:, [item.names.index(joint) for joint in joints]]
     if value.shape[1] != len(joints):
         raise InputError(f"{where(log)}stream {name!r}: {value.shape[1]} columns, expected {len(joints)}, the robot's "
