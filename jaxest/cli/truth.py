@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from jaxest.io import SensorLog, Stream, interpolate
 from jaxest.io.log import stream, where
-from jaxest.stamps import longest
+from jaxest.stamps import apart, longest
 from jaxest.types import InputError
 
 UNIT_LENGTH = 0.02  # what a recorded unit quaternion may be off
@@ -68,9 +68,7 @@ def joints(
             continue
         known, series = item.time[there], value[there, column]
         series = np.unwrap(series) if angles[at] else series
-        after, before = np.searchsorted(known, time), np.searchsorted(known, time, side="right") - 1
-        near = (before >= 0) & (after < len(known))
-        near[near] = known[after[near]] - known[before[near]] <= gap
+        near = apart(known, time) <= gap
         found[near, at] = np.interp(time[near], known, series)
     return found
 
