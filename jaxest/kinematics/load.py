@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxest.kinematics.compiled import compile_model, compiled
-from jaxest.kinematics.left_out import from_motors, left_out
+from jaxest.kinematics.left_out import from_motors, left_out, without_disabled
 from jaxest.kinematics.robot import BALL, FREE, HINGE, NQ, SLIDE, Robot, Topology
 from jaxest.types import InputError
 
@@ -26,7 +26,8 @@ def load(source: str | Path | mujoco.MjModel) -> Robot:
     Hinge, slide, ball and free joints, several on a body, trees, fixed bodies (kept, also those of a URDF), sites and
     equality-coupled joints (URDF mimic joints among them). Meshes are read only where an inertia depends on them; what
     had to be left out is logged in one line and kept in `robot.notes`: constraints that close loops, tendons, gravity
-    compensation. Motors' armature and damping are taken along to their joints.
+    compensation. Motors' armature and damping are taken along to their joints; what option flags disable (gravity,
+    springs, dampers, friction loss, equalities) is zero.
 
     Args:
         source: path of an MJCF or URDF file, its text, or a compiled model.
@@ -42,8 +43,10 @@ def load(source: str | Path | mujoco.MjModel) -> Robot:
     if not isinstance(source, (str, Path)):
         if not hasattr(source, "jnt_qposadr"):
             raise ValueError(f"source: got {type(source).__name__}, expected a path, MJCF or URDF text, or an MjModel")
-        return _robot("model", source, (), tuple(left_out(source)))
+        model = without_disabled(source)
+        return _robot("model", model, (), tuple(left_out(model)))
     name, model, massless, notes = compiled(source)
+    model = without_disabled(model)
     notes += left_out(model)
     for note in notes:
         _log.warning("%s: %s", name, note)
@@ -152,11 +155,15 @@ def _couplings(source: str, model: mujoco.MjModel) -> tuple[tuple[tuple[int, int
     """Collect active joint equalities, leaders before those that depend on them."""
     import mujoco
 
-    waiting = {
-        int(model.eq_obj1id[i]): (int(model.eq_obj2id[i]), model.eq_data[i, :5])
-        for i in range(model.neq)
-        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]
-    }
+    waiting: dict[int, tuple[int, np.ndarray]] = {}
+    for i in np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 > 0)):
+        joint = int(model.eq_obj1id[i])
+        if joint in waiting:
+            name = model.joint(joint).name or f"number {joint}"
+            raise InputError(
+                f"{source}: equality: joint {name} is joint1 twice; expected once, swap joints in the other"
+            )
+        waiting[joint] = int(model.eq_obj2id[i]), model.eq_data[i, :5]
     ordered: list[tuple[int, int]] = []
     rows: list[np.ndarray] = []
     while waiting:

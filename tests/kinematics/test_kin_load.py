@@ -161,6 +161,12 @@ BAD = {
         '<equality><joint joint1="a" joint2="b"/><joint joint1="b" joint2="a"/></equality></mujoco>',
         "robot text: equality: joints a, b are coupled in a circle",
     ),
+    "coupled twice": (
+        '<mujoco><worldbody><body><joint name="a"/><joint name="b" axis="1 0 0"/><joint name="c" axis="0 1 0"/>'
+        '<geom size=".1"/></body></worldbody><equality><joint joint1="a" joint2="b"/><joint joint1="a" joint2="c"/>'
+        "</equality></mujoco>",
+        "robot text: equality: joint a is joint1 twice; expected once",
+    ),
     "macros": (
         '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="a.xacro"/>'
         + link("a")
@@ -329,6 +335,33 @@ def test_what_acts_beyond_the_joints_is_taken_along_or_said():
     )
     np.testing.assert_allclose(robot.armature, [4.5, 0])
     np.testing.assert_allclose(robot.damping, [1.8, 0])
+
+
+@pytest.mark.parametrize("flag", ["gravity", "spring", "damper", "frictionloss", "equality", "constraint"])
+def test_what_a_files_flags_disable_does_not_act(flag):
+    joints = "".join(
+        f'<body name="{n}" gravcomp="1"><joint name="{n}" axis="0 1 0" stiffness="2" damping=".5" frictionloss=".1"/>'
+        '<geom pos=".1 0 0" size=".1"/></body>'
+        for n in "ab"
+    )
+    rest = '<equality><joint joint1="a" joint2="b"/><connect body1="a" body2="b" anchor="0 0 0"/></equality>'
+    rest += '<actuator><general joint="a" damping=".2"/></actuator>'
+    text = mjcf(joints, f'<option><flag {flag}="disable"/></option>', rest)
+    robot, model = kinematics.load(text), mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = (0.3, -0.2), (0.4, 0.1)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(-robot.damping * data.qvel, data.qfrc_damper)
+    np.testing.assert_allclose(-robot.stiffness * data.qpos, data.qfrc_spring)
+    assert (
+        any(robot.gravity)
+        == (abs(data.qfrc_bias) > 1e-9).all()
+        == any("gravity compensation" in note for note in robot.notes)
+    )
+    assert bool(robot.topology.couplings) == (data.ne > 0) == any("connect" in note for note in robot.notes)
+    assert any(robot.friction_loss) == (data.nf > 0)
+    np.testing.assert_array_equal(kinematics.load(model).damping, robot.damping)
+    assert model.dof_damping.all()
 
 
 def test_what_is_no_source():
