@@ -289,6 +289,21 @@ def test_the_compiler_may_replace_inertias_that_no_matter_has():
         assert compiled_alike(mjcf(body, f"<compiler {option}/>")).notes == ()
 
 
+def test_the_compilers_bounds_count_before_what_no_matter_has():
+    light = '<inertial pos=".1 0 0" mass="0" diaginertia="0 0 0"/>'
+    heavy = '<inertial pos=".1 0 0" mass="1" diaginertia=".1 .1 .1"/>'
+    tip = f'<body pos="0 .1 0"><joint axis="0 1 0"/>{heavy}</body>'
+    text = mjcf(f'<body><joint axis="1 0 0"/>{light}{tip}</body>', '<compiler boundmass=".5" boundinertia=".01"/>')
+    robot, model = compiled_alike(text), mujoco.MjModel.from_xml_string(text)
+    data, wanted = mujoco.MjData(model), np.zeros((2, 2))
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, wanted)
+    np.testing.assert_allclose(kinematics.mass_matrix(robot, np.zeros(2)), wanted, rtol=1e-5, atol=1e-8)
+    robot = kinematics.load(mjcf(f'<body name="a"><joint/>{FLAT}</body>', '<compiler boundmass="5"/>'))
+    assert robot.body_mass[0] == 5
+    assert robot.notes == ("1 inertias that no matter has, used as given (a)",)
+
+
 def test_nameless_bodies_may_have_inertias_that_no_matter_has():
     robot = kinematics.load(mjcf(f"<body><joint/>{FLAT}<body><joint/>{FLAT}</body></body>"))
     assert robot.frame_names == ("body1", "body2")
