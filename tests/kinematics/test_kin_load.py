@@ -183,6 +183,18 @@ BAD = {
         urdf(link("a"), link("b"), joint("j", "a", "b"), joint("k", "b", "a")),
         "links form a circle: a - b - a",
     ),
+    "two joints of one name": (
+        urdf(link("a"), link("b"), link("c"), joint("j", "a", "b"), joint("j", "b", "c")),
+        "robot text: two joints are named 'j'; expected each name once",
+    ),
+    "two links of one name": (
+        urdf(link("a"), link("b"), link("b"), joint("j", "a", "b")),
+        "robot text: two links are named 'b'",
+    ),
+    "reversed limits": (
+        urdf(link("a"), link("b"), joint("j", "a", "b").replace('"-1"', '"3"')),
+        "joint 'j': limit: lower 3 is above upper 2; expected lower < upper",
+    ),
     "two parents": (
         urdf(link("a"), link("b"), link("c"), joint("j", "a", "c"), joint("k", "b", "c")),
         "joint 'k': link 'c' hangs on 'a' already",
