@@ -80,6 +80,7 @@ def left_out(model: Any) -> list[str]:
         f"constraints ({', '.join(sorted(set(closing)))}), so that closed loops are open": len(closing),
         "tendons' springs, dampers and inertias": int(sum(np.count_nonzero(x) for x in pulls)),
         "bodies' gravity compensation": int(np.count_nonzero(model.body_gravcomp)),
+        "limits of ball joints": int(np.count_nonzero(model.jnt_limited[model.jnt_type == mujoco.mjtJoint.mjJNT_BALL])),
         "springs and dampers that are not linear": int(sum(np.count_nonzero(x) for x in bent)),
     }
     found = [f"{count} {what}" for what, count in counts.items() if count]

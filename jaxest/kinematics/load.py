@@ -104,7 +104,7 @@ def _robot(source: str, model: mujoco.MjModel, massless: tuple[str, ...], notes:
         stiffness=model.jnt_stiffness.copy(),
         spring_reference=model.qpos_spring.copy(),
         home=_home(model),
-        limits=_limits(model, kinds),
+        limits=_limits(model, topology, coefficients),
     )
 
 
@@ -185,11 +185,20 @@ def _home(model: mujoco.MjModel) -> np.ndarray:
     return (model.key_qpos[key] if key >= 0 else model.qpos0).copy()
 
 
-def _limits(model: mujoco.MjModel, kinds: tuple[str, ...]) -> np.ndarray:
+def _limits(model: mujoco.MjModel, topology: Topology, coefficients: np.ndarray) -> np.ndarray:
+    """Collect limits; those of joints that follow in proportion narrow their leader's, if that leaves a range."""
     limits = np.tile([-np.inf, np.inf], (model.nq, 1))
-    for joint, kind in enumerate(kinds):
+    for joint, kind in enumerate(topology.joint_kind):
         if model.jnt_limited[joint] and NQ[kind] == 1:
             limits[model.jnt_qposadr[joint]] = model.jnt_range[joint]
+    for (joint, leader), (shift, slope, *bent) in reversed(list(zip(topology.couplings, coefficients, strict=True))):
+        if leader < 0 or slope == 0 or any(bent):
+            continue
+        at, to = model.jnt_qposadr[joint], model.jnt_qposadr[leader]
+        low, high = np.sort(model.qpos0[to] + (limits[at] - model.qpos0[at] - shift) / slope)
+        low, high = max(low, limits[to, 0]), min(high, limits[to, 1])
+        if low < high:
+            limits[to] = low, high
     return limits
 
 

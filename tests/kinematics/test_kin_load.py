@@ -393,6 +393,35 @@ def test_what_a_files_flags_disable_does_not_act(flag):
     assert model.dof_damping.all()
 
 
+def coupled(ranges, coefficients):
+    """Two hinges, the second of which follows the first."""
+    one, two = ranges
+    inner = f'<body pos="1 0 0"><joint name="b" axis="0 0 1" range="{two}"/><geom size=".1"/></body>'
+    outer = f'<body><joint name="a" axis="0 0 1" range="{one}"/><geom size=".1"/>{inner}</body>'
+    rest = f'<equality><joint joint1="b" joint2="a" polycoef="{coefficients}"/></equality>'
+    return kinematics.load(mjcf(outer, '<compiler angle="radian"/>', rest))
+
+
+@pytest.mark.parametrize(
+    ("ranges", "coefficients", "leader"),
+    [
+        (("-3 3", "-.5 .5"), "0 1 0 0 0", (-0.5, 0.5)),
+        (("-3 .1", "-.5 .5"), ".3 -2 0 0 0", (-0.1, 0.1)),
+        (("-3 3", "-.5 .5"), "0 0 1 0 0", (-3, 3)),  # not in proportion
+        (("0 1", "0 1"), "0 -1 0 0 0", (0, 1)),  # no range would be left
+    ],
+)
+def test_a_leaders_limits_hold_for_what_follows_it(ranges, coefficients, leader):
+    robot = coupled(ranges, coefficients)
+    np.testing.assert_allclose(robot.limits[0], leader, atol=1e-12)
+    np.testing.assert_array_equal(robot.limits[1], np.array(ranges[1].split(), float))
+
+
+def test_limits_of_a_ball_joint_are_left_out_with_a_word():
+    ball = '<body><joint type="ball" range="0 30"/><geom size=".1"/></body>'
+    assert kinematics.load(mjcf(ball)).notes == ("left out: 1 limits of ball joints",)
+
+
 def test_what_is_no_source():
     with pytest.raises(ValueError, match="source: got int, expected a path"):
         kinematics.load(3)
