@@ -30,4 +30,18 @@ def gaps(time: NDArray[np.float64]) -> NDArray[Any]:
     return np.flatnonzero(np.diff(time) > longest(time))
 
 
-__all__ = ["GAP", "gaps", "longest"]
+def apart(known: NDArray[np.float64], time: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how far apart the stamps before and after each time are.
+
+    Args:
+        known: (n,) s, increasing.
+        time: (T,) s.
+
+    Returns:
+        (T,) s, 0 at a stamp, infinite before the first and after the last.
+    """
+    ends = np.concatenate([[-np.inf], known, [np.inf]])
+    return ends[np.searchsorted(known, time) + 1] - ends[np.searchsorted(known, time, side="right")]
+
+
+__all__ = ["GAP", "apart", "gaps", "longest"]

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from jaxest.cli.output import Answer, Force, Json, Verbose, bad_input, command, console, working
+from jaxest.cli.output import Answer, Force, Json, Verbose, bad_input, command, console, note, working
 
 NAME = "show"
 EXAMPLES = (
@@ -57,7 +57,7 @@ def run(
     source, name = _parted(str(estimate))
     if cloud is None and (source / MAP).is_file():
         cloud = source / MAP
-    log = io.read(source / "estimate.npz" if source.is_dir() else source)
+    log = io.to_si(io.read(source / "estimate.npz" if source.is_dir() else source))
     joints = _stream(log, name or next((kind for kind in ("joints", "slides") if kind in log.streams), None))
     stamps = np.arange(joints.time[0], joints.time[-1] + 1e-9, 1 / rate)
     if out.suffix.lower() == ".gif":
@@ -107,6 +107,8 @@ def _stream(log: Any, name: str | None) -> Any:
 def configurations(robot: Any, log: Any, joints: Any, rows: Any) -> Any:
     """Put joint angles, and where slides, ball and free joints are, into the robot's coordinates; others stay at home.
 
+    Where an angle is not finite, the last one that is stands for it, or the first one that is; a note says so.
+
     Args:
         robot: the robot.
         log: the estimate, for streams `slides`, and `NAME/orientation` and `NAME/position` of joints, or of the free
@@ -121,17 +123,18 @@ def configurations(robot: Any, log: Any, joints: Any, rows: Any) -> Any:
     import numpy as np
 
     from jaxest import kinematics
+    from jaxest.io.log import finite_rows, where
     from jaxest.types import unknown_name
 
     q = np.tile(np.asarray(robot.home, float), (len(rows), 1))
     slides = log.streams.get("slides")
     beside = slides is not None and slides.names and len(slides.value) == len(joints.value)
     read = [joints, slides] if beside else [joints]
-    for name, column in [pair for item in read for pair in zip(item.names, item.value[rows].T, strict=True)]:
+    for name, column in [pair for item in read for pair in zip(item.names, item.value.T, strict=True)]:
         if name not in robot.joint_names:
             raise unknown_name("joint", name, robot.joint_names)
         at = robot.topology.joint_q[robot.joint_names.index(name)]
-        q[:, at] = np.where(np.isfinite(column), column, q[:, at])
+        q[:, at] = _held(column, rows, q[:, at])
     tree = robot.topology
     for j, (name, kind) in enumerate(zip(robot.joint_names, tree.joint_kind, strict=True)):
         at = tree.joint_q[j]
@@ -145,9 +148,26 @@ def configurations(robot: Any, log: Any, joints: Any, rows: Any) -> Any:
         for part, place in parts.items():
             found = next((log.streams[key] for key in (f"{n}/{part}" for n in names) if key in log.streams), None)
             if found is not None and len(found.value) == len(joints.value):
-                q[:, place] = found.value[rows]
+                q[:, place] = _held(found.value, rows, q[:, place])
+    missing = int(np.sum(~finite_rows(joints.value)[rows]))
+    if missing:
+        note(
+            f"{where(log)}{missing} of {len(rows)} postures lack a joint; it stays where it was known last, or at home"
+        )
     free = np.array(robot.topology.free)
     return np.asarray(jax.vmap(lambda x: kinematics.expand(robot, x))(q[:, free]), float)
+
+
+def _held(value: Any, rows: Any, otherwise: Any) -> Any:
+    """Rows of a value; where they are not finite the last one before that is, or the first one; else `otherwise`."""
+    import numpy as np
+
+    from jaxest.io.log import finite_rows
+
+    known = np.flatnonzero(finite_rows(value))
+    if not len(known):
+        return otherwise
+    return value[known[np.maximum(np.searchsorted(known, rows, side="right") - 1, 0)]]
 
 
 def _beside(robot: Any, given: str, stamps: Any, config: Path | None) -> Any:
@@ -155,10 +175,12 @@ def _beside(robot: Any, given: str, stamps: Any, config: Path | None) -> Any:
 
     from jaxest import io
     from jaxest.cli import settings
+    from jaxest.cli.truth import refuse_other_times
 
     path, name = _parted(given)
-    log = io.read(path, settings.load(config).columns)
+    log = io.to_si(io.read(path, settings.load(config).columns))
     joints = _stream(log, name)
+    refuse_other_times(f"--beside {given}", joints, stamps)
     rows = np.clip(np.searchsorted(joints.time, stamps), 0, len(joints.time) - 1)
     return configurations(robot, log, joints, rows)
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from jaxest.io import SensorLog, Stream, interpolate
 from jaxest.io.log import stream, where
-from jaxest.stamps import longest
+from jaxest.stamps import apart, longest
 from jaxest.types import InputError
 
 UNIT_LENGTH = 0.02  # what a recorded unit quaternion may be off
@@ -33,16 +33,30 @@ def at(
         InputError: no such stream, or it holds none of the times.
     """
     item = stream(log, name)
-    if item.time[-1] < time[0] or item.time[0] > time[-1]:
-        raise InputError(
-            f"{where(log)}stream {name!r} covers {item.time[0]:.3f} to {item.time[-1]:.3f} s, the estimate "
-            f"{time[0]:.3f} to {time[-1]:.3f} s; expected times in common"
-        )
+    refuse_other_times(f"{where(log)}stream {name!r}", item, time)
     streams = {"orientation": item} | ({} if movement is None else {"movement": movement._replace(unit="1")})
     found = interpolate(SensorLog(streams, log.source), None, time, max_gap=longest(item.time), nan="invalid").readings
     value, valid = found["orientation"]
     truth = np.where(np.asarray(valid)[:, None], np.asarray(value, np.float64), np.nan)
     return truth, _flags(found.get("movement"))
+
+
+def refuse_other_times(place: str, item: Stream, time: NDArray[np.float64]) -> None:
+    """Refuse a stream that begins after an estimate has ended, or ends before it begins.
+
+    Args:
+        place: where the stream stands, for the message.
+        item: the stream.
+        time: (T,) s, of the estimate.
+
+    Raises:
+        InputError: says which times both cover.
+    """
+    if item.time[-1] < time[0] or item.time[0] > time[-1]:
+        raise InputError(
+            f"{place} covers {item.time[0]:.3f} to {item.time[-1]:.3f} s, the estimate {time[0]:.3f} to "
+            f"{time[-1]:.3f} s; expected times in common"
+        )
 
 
 def joints(
@@ -68,9 +82,7 @@ def joints(
             continue
         known, series = item.time[there], value[there, column]
         series = np.unwrap(series) if angles[at] else series
-        after, before = np.searchsorted(known, time), np.searchsorted(known, time, side="right") - 1
-        near = (before >= 0) & (after < len(known))
-        near[near] = known[after[near]] - known[before[near]] <= gap
+        near = apart(known, time) <= gap
         found[near, at] = np.interp(time[near], known, series)
     return found
 

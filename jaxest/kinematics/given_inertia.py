@@ -12,7 +12,7 @@ from jaxest.kinematics.lean import give_unit_inertia, gives_inertia
 
 
 class Given(NamedTuple):
-    """What a file says of a body's mass."""
+    """What a file says of a body's mass, raised to the compiler's bounds."""
 
     mass: float
     position: np.ndarray
@@ -51,7 +51,8 @@ def set_aside(spec: Any) -> dict[str, Given]:
             principal, turn = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
             turn[:, 2] *= np.sign(np.linalg.det(turn))
             mujoco.mju_mat2Quat(axes, turn.flatten())
-        given = Given(float(body.mass), np.array(body.ipos, float), principal, axes)
+        mass, principal = max(body.mass, spec.compiler.boundmass), np.maximum(principal, spec.compiler.boundinertia)
+        given = Given(float(mass), np.array(body.ipos, float), principal, axes)
         if given.physical or not np.isfinite([given.mass, *principal]).all() or _replaced(spec, body, given):
             continue
         found[body.name] = given

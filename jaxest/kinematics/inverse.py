@@ -11,7 +11,7 @@ import numpy as np
 from jaxest import linalg
 from jaxest.kinematics.forward import configuration, forward
 from jaxest.kinematics.jacobian import jacobian
-from jaxest.kinematics.movement import coupled, moved, movers, room, scalars, scattered, spot, spread
+from jaxest.kinematics.movement import coupled, followers, moved, movers, room, scalars, scattered, spot, spread
 from jaxest.kinematics.robot import Robot, frame
 from jaxest.manifolds import quaternion
 from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, Array, ArrayLike
@@ -43,7 +43,7 @@ class Solution(NamedTuple):
     """What was found."""
 
     q: Array
-    """(nq,) rad or m, within the limits."""
+    """(nq,) rad or m, within the limits but for coupled joints, which follow their leaders."""
     position_error: Array
     """() m, the largest of all targets."""
     rotation_error: Array
@@ -51,7 +51,8 @@ class Solution(NamedTuple):
     iterations: Array
     """() steps taken."""
     status: Array
-    """() OK, NOT_CONVERGED, or NON_FINITE: a target or q0 is not finite, and q is meaningless."""
+    """() OK, NOT_CONVERGED (a target is not met, or a coupled joint is beyond its limits), or NON_FINITE: a target or
+    q0 is not finite, and q is meaningless."""
 
 
 class _State(NamedTuple):
@@ -116,7 +117,8 @@ def inverse_kinematics(
 
     state = jax.lax.while_loop(going, partial(_step, problem, restarts), first)
     position, rotation = problem.largest(state.least)
-    status = jnp.where(problem.reached(state.least, tolerance), OK, NOT_CONVERGED)
+    solved = problem.reached(state.least, tolerance) & problem.followed(state.best, tolerance)
+    status = jnp.where(solved, OK, NOT_CONVERGED)
     return Solution(state.best, position, rotation, state.iteration, jnp.where(sound, status, NON_FINITE))
 
 
@@ -241,6 +243,12 @@ class _Problem(NamedTuple):
         """Tell whether every target is met."""
         position, rotation = self.largest(error)
         return (position <= tolerance) & (rotation <= tolerance)
+
+    def followed(self, q: Array, tolerance: float) -> Array:
+        """Tell whether the joints that follow the movers are within their limits, wherever those take them."""
+        at = np.array([self.robot.topology.joint_q[j] for j in followers(self.robot.topology, self.movers)], int)
+        low, high = jnp.asarray(self.robot.limits, q.dtype)[at].T
+        return jnp.all((q[at] >= low - tolerance) & (q[at] <= high + tolerance))
 
 
 def _step(problem: _Problem, restarts: int, state: _State) -> _State:

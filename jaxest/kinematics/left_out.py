@@ -1,9 +1,42 @@
 """What acts on a compiled model's joints beyond their own terms: what is taken along, and what is left out and said."""
 
+import copy
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+FLAGS = {
+    "GRAVITY": ("body_gravcomp",),
+    "SPRING": ("jnt_stiffness", "jnt_stiffnesspoly", "tendon_stiffness"),
+    "DAMPER": ("dof_damping", "dof_dampingpoly", "tendon_damping", "actuator_damping"),
+    "EQUALITY": ("eq_active0",),
+    "FRICTIONLOSS": ("dof_frictionloss",),
+    "CONSTRAINT": ("eq_active0", "dof_frictionloss"),
+}
+"""What a file's `<option><flag NAME="disable"/>` switches off, by name of `mjtDisableBit`."""
+
+
+def without_disabled(model: Any) -> Any:
+    """Return a model in which what its option flags switch off is zero; limits stay, as a robot has them anyway.
+
+    Args:
+        model: a `mujoco.MjModel`.
+
+    Returns:
+        The same, or a changed copy.
+    """
+    import mujoco
+
+    off = [name for name in FLAGS if model.opt.disableflags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}"))]
+    if not off:
+        return model
+    model = copy.copy(model)
+    for field in [field for name in off for field in FLAGS[name] if hasattr(model, field)]:
+        getattr(model, field)[...] = 0
+    if "GRAVITY" in off:
+        model.opt.gravity[:] = 0
+    return model
 
 
 def from_motors(model: Any, per_motor: Any) -> NDArray[np.float64]:
@@ -47,6 +80,7 @@ def left_out(model: Any) -> list[str]:
         f"constraints ({', '.join(sorted(set(closing)))}), so that closed loops are open": len(closing),
         "tendons' springs, dampers and inertias": int(sum(np.count_nonzero(x) for x in pulls)),
         "bodies' gravity compensation": int(np.count_nonzero(model.body_gravcomp)),
+        "limits of ball joints": int(np.count_nonzero(model.jnt_limited[model.jnt_type == mujoco.mjtJoint.mjJNT_BALL])),
         "springs and dampers that are not linear": int(sum(np.count_nonzero(x) for x in bent)),
     }
     found = [f"{count} {what}" for what, count in counts.items() if count]
@@ -55,4 +89,4 @@ def left_out(model: Any) -> list[str]:
     return [f"left out: {'; '.join(found)}"] if found else []
 
 
-__all__ = ["from_motors", "left_out"]
+__all__ = ["from_motors", "left_out", "without_disabled"]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxest.kinematics.compiled import compile_model, compiled
-from jaxest.kinematics.left_out import from_motors, left_out
+from jaxest.kinematics.left_out import from_motors, left_out, without_disabled
 from jaxest.kinematics.robot import BALL, FREE, HINGE, NQ, SLIDE, Robot, Topology
 from jaxest.types import InputError
 
@@ -26,7 +26,8 @@ def load(source: str | Path | mujoco.MjModel) -> Robot:
     Hinge, slide, ball and free joints, several on a body, trees, fixed bodies (kept, also those of a URDF), sites and
     equality-coupled joints (URDF mimic joints among them). Meshes are read only where an inertia depends on them; what
     had to be left out is logged in one line and kept in `robot.notes`: constraints that close loops, tendons, gravity
-    compensation. Motors' armature and damping are taken along to their joints.
+    compensation. Motors' armature and damping are taken along to their joints; what option flags disable (gravity,
+    springs, dampers, friction loss, equalities) is zero.
 
     Args:
         source: path of an MJCF or URDF file, its text, or a compiled model.
@@ -42,8 +43,10 @@ def load(source: str | Path | mujoco.MjModel) -> Robot:
     if not isinstance(source, (str, Path)):
         if not hasattr(source, "jnt_qposadr"):
             raise ValueError(f"source: got {type(source).__name__}, expected a path, MJCF or URDF text, or an MjModel")
-        return _robot("model", source, (), tuple(left_out(source)))
+        model = without_disabled(source)
+        return _robot("model", model, (), tuple(left_out(model)))
     name, model, massless, notes = compiled(source)
+    model = without_disabled(model)
     notes += left_out(model)
     for note in notes:
         _log.warning("%s: %s", name, note)
@@ -101,7 +104,7 @@ def _robot(source: str, model: mujoco.MjModel, massless: tuple[str, ...], notes:
         stiffness=model.jnt_stiffness.copy(),
         spring_reference=model.qpos_spring.copy(),
         home=_home(model),
-        limits=_limits(model, kinds),
+        limits=_limits(model, topology, coefficients),
     )
 
 
@@ -152,11 +155,15 @@ def _couplings(source: str, model: mujoco.MjModel) -> tuple[tuple[tuple[int, int
     """Collect active joint equalities, leaders before those that depend on them."""
     import mujoco
 
-    waiting = {
-        int(model.eq_obj1id[i]): (int(model.eq_obj2id[i]), model.eq_data[i, :5])
-        for i in range(model.neq)
-        if model.eq_type[i] == mujoco.mjtEq.mjEQ_JOINT and model.eq_active0[i]
-    }
+    waiting: dict[int, tuple[int, np.ndarray]] = {}
+    for i in np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 > 0)):
+        joint = int(model.eq_obj1id[i])
+        if joint in waiting:
+            name = model.joint(joint).name or f"number {joint}"
+            raise InputError(
+                f"{source}: equality: joint {name} is joint1 twice; expected once, swap joints in the other"
+            )
+        waiting[joint] = int(model.eq_obj2id[i]), model.eq_data[i, :5]
     ordered: list[tuple[int, int]] = []
     rows: list[np.ndarray] = []
     while waiting:
@@ -178,11 +185,20 @@ def _home(model: mujoco.MjModel) -> np.ndarray:
     return (model.key_qpos[key] if key >= 0 else model.qpos0).copy()
 
 
-def _limits(model: mujoco.MjModel, kinds: tuple[str, ...]) -> np.ndarray:
+def _limits(model: mujoco.MjModel, topology: Topology, coefficients: np.ndarray) -> np.ndarray:
+    """Collect limits; those of joints that follow in proportion narrow their leader's, if that leaves a range."""
     limits = np.tile([-np.inf, np.inf], (model.nq, 1))
-    for joint, kind in enumerate(kinds):
+    for joint, kind in enumerate(topology.joint_kind):
         if model.jnt_limited[joint] and NQ[kind] == 1:
             limits[model.jnt_qposadr[joint]] = model.jnt_range[joint]
+    for (joint, leader), (shift, slope, *bent) in reversed(list(zip(topology.couplings, coefficients, strict=True))):
+        if leader < 0 or slope == 0 or any(bent):
+            continue
+        at, to = model.jnt_qposadr[joint], model.jnt_qposadr[leader]
+        low, high = np.sort(model.qpos0[to] + (limits[at] - model.qpos0[at] - shift) / slope)
+        low, high = max(low, limits[to, 0]), min(high, limits[to, 1])
+        if low < high:
+            limits[to] = low, high
     return limits
 
 

@@ -60,6 +60,14 @@ def movers(topology: Topology, frames: tuple[str, ...]) -> tuple[int, ...]:
     return tuple(sorted(found - {joint for joint, _ in topology.couplings}))
 
 
+def followers(topology: Topology, movers: tuple[int, ...]) -> list[int]:
+    """Return the joints that the movers lead, also by way of others."""
+    led = list(movers)
+    for joint, leader in topology.couplings:
+        led += [joint] if leader in led else []
+    return led[len(movers) :]
+
+
 def spread(robot: Robot, movers: tuple[int, ...], q: Array) -> Array:
     """Return how v follows from the velocities of the movers, (nv, n)."""
     topology = robot.topology

@@ -112,7 +112,7 @@ class Robot:
     home: Leaf
     """(nq,) keyframe `home` if the file has one, else `joint_reference`."""
     limits: Leaf
-    """(nq, 2) rad or m, infinite where there is none."""
+    """(nq, 2) rad or m, infinite where there is none; a leader's hold for what follows it in proportion, too."""
 
     @property
     def nq(self) -> int:

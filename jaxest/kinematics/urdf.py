@@ -29,7 +29,7 @@ def check_text(name: str, text: str) -> None:
 
 
 def check_urdf(name: str, text: str) -> None:
-    """Refuse a URDF whose joints name links or joints that do not exist, or whose links form no tree.
+    """Refuse a URDF with a name twice, links or joints that do not exist, reversed limits, or links that form no tree.
 
     Args:
         name: of the file, for messages.
@@ -48,6 +48,10 @@ def check_urdf(name: str, text: str) -> None:
     links = [str(link.get("name")) for link in root.findall("link")]
     joints = root.findall("joint")
     names = [str(joint.get("name")) for joint in joints]
+    for kind, given in (("link", links), ("joint", names)):
+        twice = next((one for at, one in enumerate(given) if one in given[:at]), None)
+        if twice is not None:  # MuJoCo names no link
+            raise InputError(f"{name}: two {kind}s are named {twice!r}; expected each name once")
     parents: dict[str, str] = {}
     for joint in joints:
         place = f"{name}: joint {joint.get('name')!r}"
@@ -55,6 +59,7 @@ def check_urdf(name: str, text: str) -> None:
             leader = str(mimic.get("joint"))
             if leader not in names:  # MuJoCo would let it move freely without a word
                 raise InputError(f"{place} mimics: {unknown_name('joint', leader, names)}")
+        _check_limit(place, joint)
         ends = []
         for end in ("parent", "child"):
             found = joint.find(end)
@@ -68,6 +73,19 @@ def check_urdf(name: str, text: str) -> None:
             raise InputError(f"{place}: link {child!r} hangs on {parents[child]!r} already; expected a tree")
         parents[child] = parent
     _check_tree(name, links, parents)
+
+
+def _check_limit(place: str, joint: ElementTree.Element) -> None:
+    """Refuse a lower limit above the upper one, which MuJoCo would take for none."""
+    limit = joint.find("limit")
+    if limit is None or joint.get("type") not in ("revolute", "prismatic"):
+        return
+    try:
+        low, high = (float(limit.get(end, 0)) for end in ("lower", "upper"))
+    except ValueError:  # MuJoCo says so, with the line
+        return
+    if low > high:
+        raise InputError(f"{place}: limit: lower {low:g} is above upper {high:g}; expected lower < upper")
 
 
 def _check_tree(name: str, links: list[str], parents: dict[str, str]) -> None:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxest.mcmc.model import Data, Prior
+from jaxest.stamps import GAP
 from jaxest.systems.torque_model import Inputs
 from jaxest.types import Array, InputError, Reading
 
@@ -38,6 +39,11 @@ def data_of(measurements: Measurement, segments: int = 1) -> Data:
     if not (dt > 0).all():
         at = int(np.flatnonzero(~(dt > 0))[0]) + 1
         raise InputError(f"measurements: dt is {dt[at - 1]:g} s at row {at}, expected times that rise")
+    most = GAP * float(np.median(dt)) if len(dt) else 0.0
+    if (dt > most).any():
+        at = int(np.argmax(dt)) + 1
+        raise InputError(f"measurements: dt is {dt[at - 1]:g} s at row {at}, expected at most {most:g} s, {GAP} median "
+                         "steps; put rows without valid readings into gaps")  # fmt: skip
     value, valid = jnp.asarray(measurements.joints.value), jnp.asarray(measurements.joints.valid)
     good = jnp.broadcast_to(valid, value.shape) & jnp.isfinite(value)
     steps = len(dt)

@@ -139,6 +139,34 @@ def test_a_known_torque_is_not_made_up_where_it_is_not_known():
     with pytest.raises(InputError, match=r"row 7 at 0.070000 s is not finite"):
         taken(time=time, value=holes)
     np.testing.assert_allclose(taken("missing", time=time, value=holes)[:, 0], 10 * time, atol=1e-9)
+    some = (time < 0.2) | (time > 0.6)
+    with pytest.raises(InputError, match=r"'motor': nothing is known between 0.190 and 0.610 s, .* at most 0.025 s"):
+        taken(time=time[some], value=np.zeros((some.sum(), 1)))
+
+
+def test_gaps_are_bridged_up_to_a_length():
+    def bridged(pause):
+        time = np.concatenate([np.arange(100), pause + np.arange(100)]) / 100
+        return torque_series.series(SensorLog({"q": Stream(time, np.zeros((200, 1)), "rad")}), {}, ("j",), "error")
+
+    assert np.diff(bridged(500).time).max() < 0.011
+    with pytest.raises(
+        InputError, match=r"'q': 199.01 s pass after row 99 at 0.990 s, 0.01 s after most; expected gaps of at most"
+    ):
+        bridged(20000)
+
+
+def test_columns_with_names_are_never_taken_by_position():
+    time, joints = np.arange(20) / 100, ("shoulder", "elbow")
+
+    def taken(*names):
+        item = Stream(time, np.tile([1.0, 2.0], (20, 1)), "rad", names=names)
+        return torque_series.series(SensorLog({"q": item}), {}, joints, "error")
+
+    np.testing.assert_array_equal(taken("elbow", "shoulder").angles[0], [2, 1])
+    np.testing.assert_array_equal(taken().angles[0], [1, 2])
+    with pytest.raises(InputError, match=r"'q': its columns are elbow_joint, shoulder, none of them 'elbow'; expected"):
+        taken("elbow_joint", "shoulder")
 
 
 def test_pieces_are_for_methods_that_have_them(refused, ready):

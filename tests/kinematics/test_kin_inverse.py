@@ -1,5 +1,7 @@
 """Inverse kinematics: share of reachable poses solved, limits, several targets, every kind of joint, statuses."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -111,6 +113,22 @@ def test_statuses_weights_and_limits(dtype):
     frames = kinematics.forward(robot, found.q[1], ("link1", tip)).position
     assert found.position_error[1] == pytest.approx(np.linalg.norm(frames[1] - position[1]), rel=1e-4)
     assert found.position_error[0] < (1e-7 if dtype == np.float64 else 2e-5)
+
+
+def test_a_coupled_joint_beyond_its_limits_is_no_solution():
+    robot = kinematics.load(
+        '<mujoco><compiler angle="radian"/><worldbody><body><joint name="a" axis="0 0 1"/><geom size=".1"/><body>'
+        '<joint name="b" axis="0 0 1" range="-.5 .5"/><geom size=".1"/><site name="tip" pos="1 0 0"/></body></body>'
+        '</worldbody><equality><joint joint1="b" joint2="a" polycoef="0 0 1 0 0"/></equality></mujoco>'
+    )
+
+    @partial(jax.jit, compiler_options=QUICK)
+    def status(turn):
+        target = Target(jnp.stack([jnp.cos(turn + turn**2), jnp.sin(turn + turn**2), jnp.zeros_like(turn)]))
+        q0 = jnp.stack([turn, turn**2])
+        return kinematics.inverse_kinematics(robot, {"site:tip": target}, q0, restarts=0).status
+
+    assert [status(0.6), status(1.2)] == [OK, NOT_CONVERGED]
 
 
 def test_a_heavier_target_is_met_closer(x64):

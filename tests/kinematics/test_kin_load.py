@@ -161,6 +161,12 @@ BAD = {
         '<equality><joint joint1="a" joint2="b"/><joint joint1="b" joint2="a"/></equality></mujoco>',
         "robot text: equality: joints a, b are coupled in a circle",
     ),
+    "coupled twice": (
+        '<mujoco><worldbody><body><joint name="a"/><joint name="b" axis="1 0 0"/><joint name="c" axis="0 1 0"/>'
+        '<geom size=".1"/></body></worldbody><equality><joint joint1="a" joint2="b"/><joint joint1="a" joint2="c"/>'
+        "</equality></mujoco>",
+        "robot text: equality: joint a is joint1 twice; expected once",
+    ),
     "macros": (
         '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="a.xacro"/>'
         + link("a")
@@ -176,6 +182,18 @@ BAD = {
     "links in a circle": (
         urdf(link("a"), link("b"), joint("j", "a", "b"), joint("k", "b", "a")),
         "links form a circle: a - b - a",
+    ),
+    "two joints of one name": (
+        urdf(link("a"), link("b"), link("c"), joint("j", "a", "b"), joint("j", "b", "c")),
+        "robot text: two joints are named 'j'; expected each name once",
+    ),
+    "two links of one name": (
+        urdf(link("a"), link("b"), link("b"), joint("j", "a", "b")),
+        "robot text: two links are named 'b'",
+    ),
+    "reversed limits": (
+        urdf(link("a"), link("b"), joint("j", "a", "b").replace('"-1"', '"3"')),
+        "joint 'j': limit: lower 3 is above upper 2; expected lower < upper",
     ),
     "two parents": (
         urdf(link("a"), link("b"), link("c"), joint("j", "a", "c"), joint("k", "b", "c")),
@@ -283,6 +301,23 @@ def test_the_compiler_may_replace_inertias_that_no_matter_has():
         assert compiled_alike(mjcf(body, f"<compiler {option}/>")).notes == ()
 
 
+def test_the_compilers_bounds_count_before_what_no_matter_has():
+    light = '<inertial pos=".1 0 0" mass="0" diaginertia="0 0 0"/>'
+    heavy = '<inertial pos=".1 0 0" mass="1" diaginertia=".1 .1 .1"/>'
+    tip = f'<body pos="0 .1 0"><joint axis="0 1 0"/>{heavy}</body>'
+    text = mjcf(f'<body><joint axis="1 0 0"/>{light}{tip}</body>', '<compiler boundmass=".5" boundinertia=".01"/>')
+    compiled_alike(text)
+    found, wanted = np.zeros((2, 2, 2))
+    for model, matrix in ((compile_model(text), found), (mujoco.MjModel.from_xml_string(text), wanted)):
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, matrix)
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
+    robot = kinematics.load(mjcf(f'<body name="a"><joint/>{FLAT}</body>', '<compiler boundmass="5"/>'))
+    assert robot.body_mass[0] == 5
+    assert robot.notes == ("1 inertias that no matter has, used as given (a)",)
+
+
 def test_nameless_bodies_may_have_inertias_that_no_matter_has():
     robot = kinematics.load(mjcf(f"<body><joint/>{FLAT}<body><joint/>{FLAT}</body></body>"))
     assert robot.frame_names == ("body1", "body2")
@@ -329,6 +364,62 @@ def test_what_acts_beyond_the_joints_is_taken_along_or_said():
     )
     np.testing.assert_allclose(robot.armature, [4.5, 0])
     np.testing.assert_allclose(robot.damping, [1.8, 0])
+
+
+@pytest.mark.parametrize("flag", ["gravity", "spring", "damper", "frictionloss", "equality", "constraint"])
+def test_what_a_files_flags_disable_does_not_act(flag):
+    joints = "".join(
+        f'<body name="{n}" gravcomp="1"><joint name="{n}" axis="0 1 0" stiffness="2" damping=".5" frictionloss=".1"/>'
+        '<geom pos=".1 0 0" size=".1"/></body>'
+        for n in "ab"
+    )
+    rest = '<equality><joint joint1="a" joint2="b"/><connect body1="a" body2="b" anchor="0 0 0"/></equality>'
+    rest += '<actuator><general joint="a" damping=".2"/></actuator>'
+    text = mjcf(joints, f'<option><flag {flag}="disable"/></option>', rest)
+    robot, model = kinematics.load(text), mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = (0.3, -0.2), (0.4, 0.1)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(-robot.damping * data.qvel, data.qfrc_damper)
+    np.testing.assert_allclose(-robot.stiffness * data.qpos, data.qfrc_spring)
+    assert (
+        any(robot.gravity)
+        == (abs(data.qfrc_bias) > 1e-9).all()
+        == any("gravity compensation" in note for note in robot.notes)
+    )
+    assert bool(robot.topology.couplings) == (data.ne > 0) == any("connect" in note for note in robot.notes)
+    assert any(robot.friction_loss) == (data.nf > 0)
+    np.testing.assert_array_equal(kinematics.load(model).damping, robot.damping)
+    assert model.dof_damping.all()
+
+
+def coupled(ranges, coefficients):
+    """Two hinges, the second of which follows the first."""
+    one, two = ranges
+    inner = f'<body pos="1 0 0"><joint name="b" axis="0 0 1" range="{two}"/><geom size=".1"/></body>'
+    outer = f'<body><joint name="a" axis="0 0 1" range="{one}"/><geom size=".1"/>{inner}</body>'
+    rest = f'<equality><joint joint1="b" joint2="a" polycoef="{coefficients}"/></equality>'
+    return kinematics.load(mjcf(outer, '<compiler angle="radian"/>', rest))
+
+
+@pytest.mark.parametrize(
+    ("ranges", "coefficients", "leader"),
+    [
+        (("-3 3", "-.5 .5"), "0 1 0 0 0", (-0.5, 0.5)),
+        (("-3 .1", "-.5 .5"), ".3 -2 0 0 0", (-0.1, 0.1)),
+        (("-3 3", "-.5 .5"), "0 0 1 0 0", (-3, 3)),  # not in proportion
+        (("0 1", "0 1"), "0 -1 0 0 0", (0, 1)),  # no range would be left
+    ],
+)
+def test_a_leaders_limits_hold_for_what_follows_it(ranges, coefficients, leader):
+    robot = coupled(ranges, coefficients)
+    np.testing.assert_allclose(robot.limits[0], leader, atol=1e-12)
+    np.testing.assert_array_equal(robot.limits[1], np.array(ranges[1].split(), float))
+
+
+def test_limits_of_a_ball_joint_are_left_out_with_a_word():
+    ball = '<body><joint type="ball" range="0 30"/><geom size=".1"/></body>'
+    assert kinematics.load(mjcf(ball)).notes == ("left out: 1 limits of ball joints",)
 
 
 def test_what_is_no_source():

@@ -150,6 +150,8 @@ def test_pieces_and_missing_steps(pendulum, x64):
     np.testing.assert_allclose(one, other[:2], rtol=1e-12)
     with pytest.raises(InputError, match="expected times that rise"):
         torque.data_of(measurements._replace(dt=measurements.dt.at[3].set(0.0)))
+    with pytest.raises(InputError, match=r"dt is 199 s at row 3, expected at most 0.05 s"):
+        torque.data_of(measurements._replace(dt=measurements.dt.at[3].set(199.0)))
 
 
 def test_priors_that_cannot_be_are_refused(pendulum, x64):

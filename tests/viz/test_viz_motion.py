@@ -156,6 +156,36 @@ def test_a_free_root_is_where_its_body_was_found_and_a_slide_where_it_went():
     np.testing.assert_allclose(found, [[1, 2, 3, 0.8, 0, 0, 0.6, 0.2, 0.1], [4, 5, 6, 0.8, 0, 0, 0.6, 0.2, 0.3]])
 
 
+def test_degrees_of_a_log_are_drawn_as_degrees(estimated, monkeypatch):
+    drawn = {}
+    monkeypatch.setattr(animation, "draw", lambda out, robot, q, **options: drawn.update(q=q, **options))
+    item = Stream(np.arange(6) / 10, np.rad2deg(motion()), "deg", names=NAMES)
+    write(SensorLog({"joint_position": item}), estimated / "deg.npz")
+    where = f"{estimated / 'deg.npz'}:joint_position"
+    assert show(estimated, "-o", estimated / "a.gif", "--beside", where, what="deg.npz").exit_code == 0
+    np.testing.assert_allclose(drawn["q"][[0, -1]], motion()[[0, -1]], atol=1e-6)
+    np.testing.assert_allclose(drawn["beside"][[0, -1]], motion()[[0, -1]], atol=1e-6)
+
+
+def test_a_posture_that_is_not_known_is_the_last_that_was(estimated, monkeypatch):
+    drawn, q = {}, motion()
+    monkeypatch.setattr(animation, "draw", lambda out, robot, q, **options: drawn.update(q=q))
+    q[[0, 3, 4]], q[:, 3] = np.nan, np.nan
+    write(SensorLog({"joints": Stream(np.arange(6) / 10, q, "rad", names=NAMES)}), estimated / "holes.npz")
+    result = show(estimated, "-o", estimated / "a.gif", what="holes.npz")
+    assert "6 of 6 postures lack a joint; it stays where it was known last" in result.output
+    np.testing.assert_allclose(drawn["q"][:, :3], motion()[[1, 1, 2, 2, 2, 5], :3])
+    np.testing.assert_allclose(drawn["q"][:, 3], kinematics.load(ARM).home[3], rtol=1e-6)
+
+
+def test_a_second_robot_of_another_clock_is_refused(estimated):
+    item = Stream(100 + np.arange(6) / 10, motion(), "rad", names=NAMES)
+    write(SensorLog({"encoders": item}), estimated / "late.npz")
+    result = show(estimated, "-o", estimated / "a.gif", "--beside", estimated / "late.npz")
+    assert result.exit_code == 2
+    assert "covers 100.000 to 100.500 s, the estimate 0.000 to 0.500 s; expected times in" in result.output
+
+
 @pytest.mark.parametrize(
     ("words", "part"),
     [

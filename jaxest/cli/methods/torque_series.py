@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 
 from jaxest.io import SensorLog, Stream
 from jaxest.io.log import refuse_nan, stream, where
+from jaxest.stamps import apart, longest
 from jaxest.types import InputError, unknown_name
 
 ANGLES = ("joint_position", "joints", "positions", "q")
 MOST = 20000
+BRIDGED = 10  # steps in gaps for each sample, at most
 SLACK = 2.0  # of its own steps that a known torque may begin late or end early
 
 
@@ -44,7 +46,8 @@ def series(log: SensorLog, settings: Mapping[str, Any], joints: tuple[str, ...],
         The series.
 
     Raises:
-        InputError: no such stream, columns that are not the robot's joints, NaN where it is an error.
+        InputError: no such stream, columns that are not the robot's joints, NaN where it is an error, gaps that are too
+            long to be bridged, torques that are not known at all times.
     """
     name = settings.get("angles") or next((one for one in ANGLES if one in log.streams), None)
     if name is None:
@@ -64,7 +67,7 @@ def series(log: SensorLog, settings: Mapping[str, Any], joints: tuple[str, ...],
                          "the config integrates over it")  # fmt: skip
     if len(time) < 8:
         raise InputError(f"{where(log)}stream {name!r}: {len(time)} samples, expected at least 8")
-    time, value, bridged = _even(time, value)
+    time, value, bridged = _even(time, value, f"{where(log)}stream {name!r}")
     if len(time) > MOST:
         raise InputError(f"{where(log)}stream {name!r}: {len(time)} steps, expected at most {MOST}; take --start and "
                          "--end, or [torque] every")  # fmt: skip
@@ -76,9 +79,17 @@ def series(log: SensorLog, settings: Mapping[str, Any], joints: tuple[str, ...],
 
 
 def _columns(log: SensorLog, name: str, item: Stream, joints: tuple[str, ...]) -> NDArray[np.float64]:
+    """A stream's columns in the robot's order, (T, n): by their names, by position only where they have none."""
     value = np.asarray(item.value, float)
     value = value.reshape(len(value), -1)
-    if item.names and set(joints) <= set(item.names):
+    if item.names:
+        absent = [joint for joint in joints if joint not in item.names]
+        if absent:
+            raise InputError(
+                f"{where(log)}stream {name!r}: its columns are {', '.join(item.names)}, none of them {absent[0]!r}; "
+                f"expected the robot's joints {', '.join(joints)}, or whose they are in the config: "
+                f'[columns."{name}"] names = [...]'
+            )
         return value[:, [item.names.index(joint) for joint in joints]]
     if value.shape[1] != len(joints):
         raise InputError(f"{where(log)}stream {name!r}: {value.shape[1]} columns, expected {len(joints)}, the robot's "
@@ -86,13 +97,17 @@ def _columns(log: SensorLog, name: str, item: Stream, joints: tuple[str, ...]) -
     return value
 
 
-def _even(time: NDArray[np.float64], value: NDArray[np.float64]) -> tuple[NDArray[Any], NDArray[Any], int]:
+def _even(time: NDArray[np.float64], value: NDArray[np.float64], place: str) -> tuple[NDArray[Any], NDArray[Any], int]:
     """Put rows without measurement into gaps, so that no Euler step is much longer than the others."""
     steps = np.diff(time)
     usual = float(np.median(steps))
     more = np.maximum(np.round(steps / usual).astype(int) - 1, 0)
-    if not more.any() or more.sum() > 10 * len(time):
-        return time, value, 0
+    if more.sum() > BRIDGED * len(time):
+        row = int(np.argmax(steps))
+        raise InputError(
+            f"{place}: {steps[row]:.6g} s pass after row {row} at {time[row]:.3f} s, {usual:.6g} s after most; "
+            f"expected gaps of at most {BRIDGED} times as many steps as there are samples; take --start and --end"
+        )
     times, values = [time[:1]], [value[:1]]
     for k, extra in enumerate(more):
         times.append(np.linspace(time[k], time[k + 1], extra + 2)[1:])
@@ -121,5 +136,13 @@ def _torque(
         raise InputError(
             f"{place}: {covered}, the angles {time[0]:.3f} to {time[-1]:.3f} s; expected a torque for all of them, or "
             "take --start and --end"
+        )
+    hole = apart(known, np.clip(time, known[0], known[-1])) > longest(item.time)
+    if hole.any():
+        row = int(np.argmax(hole))
+        after = int(np.searchsorted(known, time[row]))
+        raise InputError(
+            f"{place}: nothing is known between {known[after - 1]:.3f} and {known[after]:.3f} s, where angles are; "
+            f"expected steps of at most {longest(item.time):.6g} s, or take --start and --end"
         )
     return np.stack([np.interp(time, known, value[good, j]) for j in range(len(joints))], axis=1)
