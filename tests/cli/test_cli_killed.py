@@ -23,7 +23,9 @@ from jaxest.io import read, write
 
 # A process begun in the background of a shell inherits that Ctrl-C is ignored; these must hear it.
 HEAR = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-START = HEAR + "import jaxest.cli.methods.torque as torque; torque.PIECE = 10; from jaxest.cli import main; main()"
+DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"  # imports are no work yet
+LOAD = "import jaxest.cli.methods.torque as torque; torque.PIECE = 10; from jaxest.cli import main\n"
+START = DEAF + LOAD + HEAR + "main()"
 TORQUE = ["estimate", "log.npz", "-m", "torque", "--robot", "arm.xml", "-c", "c.toml", "--work", "kept", "--force"]
 WORK, STILL = 600.0, 120.0  # processor seconds of the longest command many times over; s without any work at all
 PAPER = ["reproduce", "santaera2015", "--small", "--part", "calibration", "--work", "kept", "--force"]
