@@ -8,16 +8,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.cli.methods import SIZE, Outcome, Request, posture_checks
+from jaxest.cli.methods import SIZE, Outcome, Request, imu_steps, posture_checks
+from jaxest.cli.methods.imu_steps import KINDS
 from jaxest.cli.methods.orientation import imus as imus_in
 from jaxest.cli.truth import joints
-from jaxest.io import SensorLog, Stream, ticks, to_si
-from jaxest.io.log import refuse_nan, stream, where
+from jaxest.io import SensorLog, Stream, to_si
+from jaxest.io.log import stream, where
 from jaxest.io.report import Row
 from jaxest.metrics import circular_error
 from jaxest.types import NON_FINITE, InputError, Reading, unknown_name
 
-KINDS = ("gyroscope", "accelerometer", "magnetometer")
 FILTERS = {
     "ekf": "jaxest.filters.attitude.ekf",
     "decoupled": "jaxest.filters.attitude.decoupled",
@@ -64,8 +64,10 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     robot, log = kinematics.load(request.robot), to_si(log)
     choice = choose(log, robot, request)
     notes = [note for imu in choice.imus for note in posture_checks.check(log, imu, choice.kinds)]
-    time, measurements = _measured(log, choice, request.nan)
-    params, system, measurements, said = _prepared(robot, choice, time, measurements)
+    prefixes = [f"{imu}/" for imu in choice.imus]
+    steps = imu_steps.merged(log, prefixes, choice.kinds, request.nan)
+    time, notes = steps.time, notes + imu_steps.rateless(steps, prefixes)
+    params, system, measurements, said = _prepared(robot, choice, time, _measured(steps, choice))
     info = _run(system, params, measurements)
     columns = _hinges(robot)
     names = tuple(columns)
@@ -158,25 +160,15 @@ def _frame_of(imu: str, frames: tuple[str, ...]) -> str:
     return next((name for name in (f"site:{imu}", imu) if name in frames), "")
 
 
-def _measured(log: SensorLog, choice: Choice, nan: str) -> tuple[NDArray[np.float64], Any]:
+def _measured(steps: Any, choice: Choice) -> Any:
+    """The steps of the IMUs' streams as measurements, leaves (T, number of IMUs, ...)."""
     from jaxest.filters.imu import Imu
 
-    names = [f"{imu}/{kind}" for imu in choice.imus for kind in choice.kinds]
-    if nan == "error":
-        for name in names:
-            refuse_nan(stream(log, name), f"{where(log)}stream {name!r}", 'nan = "missing" in a config')
-    gyro = stream(log, names[0])
-    interval = float(np.median(np.diff(gyro.time))) if len(gyro.time) > 1 else 0.0
-    steps = ticks(log, names, tolerance=interval / 2, dtype=np.float32, nan="invalid")
-    readings: list[Any] = []
-    for kind in KINDS:
-        if kind not in choice.kinds:
-            readings.append(None)
-            continue
+    readings: list[Any] = [None] * len(KINDS)
+    for at, kind in enumerate(choice.kinds):
         found = [steps.readings[f"{imu}/{kind}"] for imu in choice.imus]
-        value, valid = (np.stack([np.asarray(r[i]) for r in found], axis=1) for i in (0, 1))
-        readings.append(Reading(value, valid))  # type: ignore[arg-type]
-    return steps.time, Imu._make([*readings, steps.dt])
+        readings[at] = Reading(*(np.stack(parts, axis=1) for parts in zip(*found, strict=True)))  # type: ignore[arg-type]
+    return Imu._make([*readings, steps.dt])
 
 
 def _prepared(robot: Any, choice: Choice, time: NDArray[np.float64], measurements: Any) -> Any:
