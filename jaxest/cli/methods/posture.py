@@ -23,6 +23,7 @@ FILTERS = {
     "decoupled": "jaxest.filters.attitude.decoupled",
     "complementary": "jaxest.filters.complementary",
 }
+NUMBERS = ("initial_heading", "memory")
 SURE = 0.5
 """Share of a coordinate's variance that must have gone for it to count as observed."""
 BROKEN = 0.1
@@ -104,7 +105,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
 def schema() -> dict[str, Any]:
     """Return what may be in the config's table `[posture]`, as `jaxest.io.config` takes it."""
-    numbers = dict.fromkeys(("initial_heading", "memory"), float)
+    numbers = dict.fromkeys(NUMBERS, float)
     return {"imus": {"*": str}, "magnetometer": bool, "filter": str, "zero_posture": list, **numbers}
 
 
@@ -152,7 +153,10 @@ def choose(log: SensorLog, robot: Any, request: Request) -> Choice:
     times = [x for x in zero or () if isinstance(x, int | float) and not isinstance(x, bool)]
     if zero is not None and not (len(times) == len(zero) == 2 and 0 <= times[0] < times[1]):
         raise InputError(f"[posture] zero_posture: got {zero}, expected two times in s, as in [0.0, 1.0]")
-    numbers = {key: float(settings[key]) for key in ("initial_heading", "memory") if key in settings}
+    numbers = {key: float(settings[key]) for key in NUMBERS if key in settings}
+    for key, number in numbers.items():
+        if not 0 < number < np.inf:
+            raise InputError(f"[posture] {key}: got {number:g}, expected a finite number above 0")
     return Choice(dict(given), kinds, str(name), None if zero is None else (float(zero[0]), float(zero[1])), numbers)
 
 
