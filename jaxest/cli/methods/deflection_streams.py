@@ -15,6 +15,7 @@ from jaxest.types import InputError, Reading, unknown_name
 UNIT_LENGTH = 0.02  # what a recorded unit quaternion may be off
 FAR, NEAR = 0.6, 0.25  # rad: tilts that a posture cannot explain, and that it can
 RAW = imu_steps.KINDS[:2]  # of an IMU, what an orientation is made from
+SPARSE = 0.5  # share of a sensor's rows with numbers below which that is told
 ENCODERS = ("joint_angle", "slide_position")  # kinds that read joints
 REMEDY = 'nan = "missing" in a config'
 
@@ -118,11 +119,23 @@ def measurements(
     _right_order(log, robot, joints.names, described, streams)
     fastest = max(streams.values(), key=lambda item: len(item.time)).time
     tolerance = float(np.median(np.diff(fastest))) / 2 if len(fastest) > 1 else 0.0
-    steps = ticks(SensorLog(streams, log.source), tolerance=tolerance, nan="invalid", dtype=np.float32)
+    notes += [note for one in described for note in _sparse(one, streams[one.sensor.name].value)]
+    encoders = [one.sensor.name for one in described if one.sensor.kind in ENCODERS]
+    steps = ticks(SensorLog(streams, log.source), tolerance=tolerance, nan="invalid", dtype=np.float32, apart=encoders)
     record = measurement_type([one.sensor for one in described])
     readings = {one.sensor.name: steps.readings[one.sensor.name] for one in described}
     notes += [f"used {', '.join(dict.fromkeys(one.stream for one in described))}"]
     return steps, record(**readings, dt=steps.dt), notes
+
+
+def _sparse(one: Described, value: NDArray[Any]) -> list[str]:
+    """Say what of a sensor is missing in more than half of its rows: it, or an encoder of some of its joints."""
+    parts = {one.sensor.name: finite_rows(value)}
+    if one.sensor.kind in ENCODERS:
+        columns = zip(one.sensor.frames, value.T, strict=True)
+        parts = {f"{one.sensor.name}, {joint}": np.isfinite(column) for joint, column in columns}
+    return [f"{part}: {np.sum(~there)} of {len(there)} rows are missing" for part, there in parts.items()
+            if there.mean() < SPARSE]  # fmt: skip
 
 
 def _read(log: SensorLog, one: Described, nan: str) -> Stream:
