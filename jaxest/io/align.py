@@ -68,11 +68,11 @@ def ticks(
     for name, (item, valid) in kept.items():
         if name in apart:
             valid = np.isfinite(item.value)
-        kept = np.zeros_like(item.value)
-        kept[valid] = item.value[valid]
+        there = np.zeros_like(item.value)
+        there[valid] = item.value[valid]
         value = np.zeros((len(time), *item.value.shape[1:]), _dtype(item.value, dtype))
         present = np.zeros((len(time), *valid.shape[1:]), bool)
-        value[rows[name]], present[rows[name]] = kept, valid
+        value[rows[name]], present[rows[name]] = there, valid
         readings[name] = Reading(value, present)  # type: ignore[arg-type]
     return Steps(time, _differences(time, readings, dtype), readings)
 
