@@ -12,6 +12,11 @@ from jaxest.calibration._recordings import recorded
 from jaxest.filters import savitzky_golay as sg
 from jaxest.types import InputError
 
+FEWEST = 20
+"""Rows in a window at least: the scatter of fewer says too little of the noise."""
+QUIET = 1.75
+"""Scatter of a rest's windows at most, over that of the recording's quiet ones."""
+
 
 class Rest(NamedTuple):
     """What a resting IMU says of itself."""
@@ -41,10 +46,11 @@ def calibrate(
     half_width: int = 7,
     degree: int = 3,
 ) -> Rest:
-    """Find the longest rest and read bias and noise from it.
+    """Find the rest that tells the gyro's bias best, long and quiet, and read bias and noise from it.
 
-    Rest is where both sensors' scatter within a window of `least` seconds stays near the smallest of the recording,
-    for that is the sensors' noise; it must look like noise, not like the quietest part of a motion.
+    Rest is where both sensors' scatter within a window of `least` seconds, or of `FEWEST` rows where that is longer,
+    stays near that of the recording's quiet windows, for that is the sensors' noise, if no less than steps of the
+    converter bring; it must look like noise, not like the quietest part of a motion.
 
     Args:
         time: (n,) s, increasing.
@@ -61,13 +67,14 @@ def calibrate(
         InputError: shapes or stamps are wrong, values are not finite, or the sensor never rests; the message says how
             quiet it was at best.
     """
-    t, w, f, found = _rests(time, gyroscope, accelerometer, least, 2 * half_width + 2)
-    rows = max(found, key=lambda r: r.stop - r.start)
+    t, w, f, found = _rests(time, gyroscope, accelerometer, least, max(2 * half_width + 2, FEWEST))
+    coarse = [rounding(x) ** 2 for x in (w, f)]
+    rows = min(found, key=lambda r: np.trace(_covariance(w[r], coarse[0])) / (r.stop - r.start))
     turns = sg.smooth(t[rows], w[rows], half_width=half_width, degree=degree)
-    slope = np.asarray(turns.derivative, np.float64)[half_width:-half_width]
+    slope, gain = (np.asarray(x, np.float64)[half_width:-half_width] for x in (turns.derivative, turns.derivative_gain))
     return Rest(
-        rows.start, rows.stop, w[rows].mean(axis=0), np.cov(w[rows].T), np.cov(slope.T), f[rows].mean(axis=0),
-        np.cov(f[rows].T),
+        rows.start, rows.stop, w[rows].mean(axis=0), _covariance(w[rows], coarse[0]),
+        _covariance(slope, coarse[0] * gain.mean()), f[rows].mean(axis=0), _covariance(f[rows], coarse[1]),
     )  # fmt: skip
 
 
@@ -77,7 +84,22 @@ def rests(time: ArrayLike, gyroscope: ArrayLike, accelerometer: ArrayLike, *, le
     Returns:
         The rows of each, in order of time.
     """
-    return _rests(time, gyroscope, accelerometer, least, 2)[3]
+    return _rests(time, gyroscope, accelerometer, least, FEWEST)[3]
+
+
+def rounding(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the standard deviation that steps of the converter bring to each channel, (3,) in the reading's unit.
+
+    Args:
+        value: (n, 3) readings; their smallest difference is the step, all but 0 where they are not rounded.
+    """
+    return np.array([np.diff(np.unique(channel)).min(initial=np.ptp(channel)) for channel in value.T]) / np.sqrt(12)
+
+
+def _covariance(rows: NDArray[np.float64], least: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Covariance (3, 3) of rows (n, 3), with variances of at least `least` (3,)."""
+    found = np.cov(rows.T)
+    return found + np.diag(np.maximum(least - np.diag(found), 0))
 
 
 def _rests(
@@ -95,13 +117,18 @@ def _rests(
             f"the sensor never rests: at its quietest the gyro scatters by {best[0]:.3f} rad/s and the accelerometer "
             f"by {best[1]:.3f} m/s2 within {least} s, expected at most 0.05 and 0.3"
         )
-    floor = [1e-9 + 2 * b for b in best]
-    quiet = np.all([s <= limit for s, limit in zip(scatter, floor, strict=True)], axis=0)
+    quiet = np.all([s <= _limit(s, x) for s, x in zip(scatter, (w, f), strict=True)], axis=0)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.astype(int), [0]])))
     if len(edges) == 0:
         raise InputError("recording: gyro and accelerometer are never quiet together; let it rest for some seconds")
     runs = zip(edges[::2], edges[1::2], strict=True)
     return t, w, f, tuple(slice(int(start), int(stop) - 1 + width) for start, stop in runs)
+
+
+def _limit(scatter: NDArray[np.float64], value: NDArray[np.float64]) -> float:
+    """Scatter of a window up to which it is at rest. One window may be quiet by chance, the median of many is not."""
+    scatter = np.maximum(scatter, rounding(value).max())
+    return 1e-9 + QUIET * float(np.median(scatter[scatter <= QUIET * scatter.min()]))
 
 
 def _scatter(x: NDArray[np.float64], width: int) -> NDArray[np.float64]:

@@ -68,13 +68,17 @@ def calibrate(
     resting = np.array([rates[row].mean(axis=0) for row in rests])
     turns = [_turn(time, rates, before, after) for before, after in pairwise(rests)]
     turned, exact = _gyroscope(turns, np.swapaxes(faces[:-1], 1, 2) @ faces[1:], flatness)
-    noise = [
-        float(np.sqrt(np.mean([x[rows].var(axis=0, ddof=1) for rows in rests]))) for x in (rates, forces)
-    ]  # fmt: skip
+    noise = [_noise(x, rests) for x in (rates, forces)]
     relative = float(np.hypot(exact, sharp))
     return Calibration(
         resting.mean(axis=0), noise[0], matrix, offset, noise[1], turned, exact, sharp, relative, level
     )  # fmt: skip
+
+
+def _noise(value: NDArray[np.float64], rests: Sequence[slice]) -> float:
+    """Standard deviation of readings (n, 3) at rest, no less than their rounding's."""
+    variance = [value[rows].var(axis=0, ddof=1) for rows in rests]
+    return float(np.sqrt(np.mean(np.maximum(variance, imu_static.rounding(value) ** 2))))
 
 
 def _accelerometer(

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.syntax import Syntax
 from rich.table import Table
 
-from jaxest.cli.methods.orientation import KINDS
+from jaxest.cli.methods.imu_steps import KINDS
 from jaxest.cli.tables import grid, number
 from jaxest.io.inspect import StreamSummary, Summary
 from jaxest.io.report import Row

@@ -25,7 +25,7 @@ class Steps(NamedTuple):
     dt: NDArray[Any]
     """(T,) s since the previous step, differenced in float64; 0 for the first."""
     readings: dict[str, Reading]
-    """By stream: `value` (T, ...), 0 where invalid, and `valid` (T,)."""
+    """By stream: `value` (T, ...), 0 where invalid, and `valid` (T,), or of `value`'s shape where columns are apart."""
 
 
 def ticks(
@@ -35,6 +35,7 @@ def ticks(
     tolerance: float = 0.0,
     nan: OnNan = "error",
     dtype: DTypeLike | None = None,
+    apart: Sequence[str] = (),
 ) -> Steps:
     """Merge streams into one sequence of steps, one for each stamp.
 
@@ -49,6 +50,7 @@ def ticks(
         tolerance: s; 0 merges equal stamps only.
         nan: `"error"` refuses values that are not finite, `"invalid"` takes such rows as missing.
         dtype: of floating values and of `dt`; by default values keep theirs and `dt` has the widest of them.
+        apart: streams each of whose columns may be missing on its own, as encoders' are; of others a row is.
 
     Returns:
         The steps.
@@ -64,10 +66,13 @@ def ticks(
     time, rows = _assign({name: item.time for name, (item, _) in kept.items()}, tolerance)
     readings = {}
     for name, (item, valid) in kept.items():
+        if name in apart:
+            valid = np.isfinite(item.value)
+        there = np.zeros_like(item.value)
+        there[valid] = item.value[valid]
         value = np.zeros((len(time), *item.value.shape[1:]), _dtype(item.value, dtype))
-        present = np.zeros(len(time), bool)
-        value[rows[name][valid]] = item.value[valid]
-        present[rows[name]] = valid
+        present = np.zeros((len(time), *valid.shape[1:]), bool)
+        value[rows[name]], present[rows[name]] = there, valid
         readings[name] = Reading(value, present)  # type: ignore[arg-type]
     return Steps(time, _differences(time, readings, dtype), readings)
 

@@ -93,6 +93,24 @@ def test_a_rest_is_found():
         imu_static.calibrate(time[:1000], w[:1000], f[:1000])
 
 
+@pytest.mark.parametrize(("hz", "noise", "step"),
+                         [(10, 3e-3, 0), (25, 3e-3, 0), (50, 2e-4, 1.1e-3), (100, 2e-4, 1.1e-3)])  # fmt: skip
+def test_a_rest_stays_in_one_piece(hz, noise, step):
+    """Few rows a window, or a converter's steps coarser than the noise, whose covariance they are then."""
+    random = np.random.default_rng(0)
+    time = np.arange(60 * hz) / hz
+    w, f = 0.01 + noise * random.normal(size=(len(time), 3)), [0, 0, G] + 0.02 * random.normal(size=(len(time), 3))
+    w = np.round(w / step) * step if step else w
+    assert imu_static.rests(time, w, f) == (slice(0, len(time)),)
+    rest = imu_static.calibrate(time, w, f)
+    deviation = np.sqrt(np.diag(rest.gyroscope_covariance))
+    if step:
+        np.testing.assert_allclose(deviation, step / np.sqrt(12), rtol=0.2)
+        assert np.linalg.eigvalsh(rest.turn_covariance)[0] > 0
+    else:
+        np.testing.assert_allclose(deviation, noise, rtol=4 / np.sqrt(2 * len(time)))
+
+
 @pytest.mark.recorded
 def test_the_recorded_rod_rests_first(shared):
     a = np.load(shared / "recordings" / "two_imus_200mm" / "twoimus_200mm_sample.npz")["imu0"]

@@ -43,6 +43,13 @@ def test_all_but_perfect_sensors_need_no_correction():
     np.testing.assert_allclose(found.accelerometer_bias, 0, atol=1e-5)
 
 
+def test_a_gyro_whose_steps_hide_its_noise_has_that_of_its_steps():
+    readings, _ = recorded(0, sensor=(Triad(1e-7), Triad(1e-6)), flatness=0.0)
+    step = 1.1e-3
+    coarse = readings._replace(gyroscope=np.round(readings.gyroscope / step) * step)
+    assert step / np.sqrt(12) < tumble.calibrate(coarse).gyroscope_noise * 1.001 < 1.5 * step
+
+
 def test_matrices_are_found_as_well_as_it_says():
     errors = []
     for seed in range(12):

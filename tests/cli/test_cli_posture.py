@@ -125,3 +125,13 @@ def test_imus_without_a_frame_are_answered_with_lines_to_paste(arm):
         cli.choose(log, robot, Request())
     text = str(caught.value)
     assert tomllib.loads(text[text.index("[posture") :]) == {"posture": {"imus": {"left/hand": "FRAME"}}}
+
+
+@pytest.mark.parametrize("key", cli.NUMBERS)
+@pytest.mark.parametrize("value", [-1.0, 0, float("nan"), float("inf")])
+def test_numbers_are_above_zero(key, value):
+    robot = kinematics.load('<mujoco><worldbody><body name="a"><joint/><geom size=".1"/></body></worldbody></mujoco>')
+    log = SensorLog({f"a/{kind}": Stream(np.zeros(1), np.zeros((1, 3)), "") for kind in cli.KINDS})
+    with pytest.raises(InputError, match=rf"\[posture\] {key}: got {value:g}, expected a finite number above 0"):
+        cli.choose(log, robot, Request({key: value}))
+    assert cli.choose(log, robot, Request({key: 0.5})).numbers == {key: 0.5}

@@ -33,6 +33,16 @@ def test_tolerance_by_hand():
     np.testing.assert_array_equal(steps.readings["gyr"].valid, [1, 1, 0, 0, 1, 1])
 
 
+def test_columns_apart_are_missing_each_on_its_own():
+    value = np.array([[1.0, np.nan], [2.0, 20.0], [np.nan, np.nan]])
+    log = SensorLog({name: Stream(np.arange(3.0), value) for name in ("encoders", "imu")})
+    apart, rows = ticks(log, nan="invalid", apart=["encoders"]).readings.values()
+    np.testing.assert_array_equal(apart.valid, [[1, 0], [1, 1], [0, 0]])
+    np.testing.assert_array_equal(apart.value, [[1, 0], [2, 20], [0, 0]])
+    np.testing.assert_array_equal(rows.valid, [0, 1, 0])
+    np.testing.assert_array_equal(rows.value, [[0, 0], [2, 20], [0, 0]])
+
+
 GRID = st.lists(st.integers(0, 60), min_size=1, max_size=15, unique=True).map(sorted)
 
 

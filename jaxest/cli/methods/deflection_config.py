@@ -15,7 +15,6 @@ PROPOSALS = ("guided", "bootstrap")
 NOISES = ("von_mises", "gaussian")
 TIPS = ("end_effector", "tip", "tool", "tcp", "marker")
 SIDES = ("left", "right", "l", "r")
-RAW = {"gyroscope", "accelerometer"}
 
 
 class Described(NamedTuple):

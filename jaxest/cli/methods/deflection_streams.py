@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.cli.methods.deflection_config import RAW, Described, place
+from jaxest.cli.methods import imu_steps
+from jaxest.cli.methods.deflection_config import Described, place
 from jaxest.cli.methods.deflection_joints import Joints
 from jaxest.io import SensorLog, Stream, ticks
 from jaxest.io.log import finite_rows, refuse_nan, stream, where
@@ -13,6 +14,8 @@ from jaxest.types import InputError, Reading, unknown_name
 
 UNIT_LENGTH = 0.02  # what a recorded unit quaternion may be off
 FAR, NEAR = 0.6, 0.25  # rad: tilts that a posture cannot explain, and that it can
+RAW = imu_steps.KINDS[:2]  # of an IMU, what an orientation is made from
+SPARSE = 0.5  # share of a sensor's rows with numbers below which that is told
 ENCODERS = ("joint_angle", "slide_position")  # kinds that read joints
 REMEDY = 'nan = "missing" in a config'
 
@@ -109,18 +112,30 @@ def measurements(
     for one in described:
         name = one.sensor.name
         if one.imu is not None:
-            streams[name] = _attitude(log, one, nan)
-            notes.append(f"{name}: orientation from raw readings by {one.attitude}")
+            streams[name], lacks = _attitude(log, one, nan)
+            notes += [f"{name}: {said}" for said in (f"orientation from raw readings by {one.attitude}", *lacks)]
         else:
             streams[name] = _read(log, one, nan)
     _right_order(log, robot, joints.names, described, streams)
     fastest = max(streams.values(), key=lambda item: len(item.time)).time
     tolerance = float(np.median(np.diff(fastest))) / 2 if len(fastest) > 1 else 0.0
-    steps = ticks(SensorLog(streams, log.source), tolerance=tolerance, nan="invalid", dtype=np.float32)
+    notes += [note for one in described for note in _sparse(one, streams[one.sensor.name].value)]
+    encoders = [one.sensor.name for one in described if one.sensor.kind in ENCODERS]
+    steps = ticks(SensorLog(streams, log.source), tolerance=tolerance, nan="invalid", dtype=np.float32, apart=encoders)
     record = measurement_type([one.sensor for one in described])
     readings = {one.sensor.name: steps.readings[one.sensor.name] for one in described}
     notes += [f"used {', '.join(dict.fromkeys(one.stream for one in described))}"]
     return steps, record(**readings, dt=steps.dt), notes
+
+
+def _sparse(one: Described, value: NDArray[Any]) -> list[str]:
+    """Say what of a sensor is missing in more than half of its rows: it, or an encoder of some of its joints."""
+    parts = {one.sensor.name: finite_rows(value)}
+    if one.sensor.kind in ENCODERS:
+        columns = zip(one.sensor.frames, value.T, strict=True)
+        parts = {f"{one.sensor.name}, {joint}": np.isfinite(column) for joint, column in columns}
+    return [f"{part}: {np.sum(~there)} of {len(there)} rows are missing" for part, there in parts.items()
+            if there.mean() < SPARSE]  # fmt: skip
 
 
 def _read(log: SensorLog, one: Described, nan: str) -> Stream:
@@ -156,24 +171,18 @@ def _unit(item: Stream, value: NDArray[np.float64], spot: str) -> NDArray[np.flo
     return value
 
 
-def _attitude(log: SensorLog, one: Described, nan: str) -> Stream:
-    """Orientations from a raw gyroscope and accelerometer; NaN until the filter has settled."""
+def _attitude(log: SensorLog, one: Described, nan: str) -> tuple[Stream, list[str]]:
+    """Orientations from a raw gyroscope and accelerometer, NaN until the filter has settled, and notes."""
     from jaxest.cli.methods import orientation_filters
     from jaxest.filters.imu import Imu
 
     prefix = f"{one.imu}/" if one.imu else ""
-    kinds = [f"{prefix}{kind}" for kind in sorted(RAW, reverse=True)]
-    for kind in kinds:
-        item = stream(log, kind)
-        if nan == "error":
-            refuse_nan(item, f"{where(log)}stream {kind!r}", REMEDY)
-    gyro = stream(log, kinds[0])
-    tolerance = float(np.median(np.diff(gyro.time))) / 2 if len(gyro.time) > 1 else 0.0
-    steps = ticks(log, kinds, tolerance=tolerance, nan="invalid", dtype=np.float32)
-    gyr, acc = (steps.readings[kind] for kind in kinds)
+    steps = imu_steps.merged(log, [prefix], RAW, nan)
+    gyr, acc = (steps.readings[prefix + kind] for kind in RAW)
     chosen = orientation_filters.choose({"filter": one.attitude})
-    found = orientation_filters.run(chosen, ("gyroscope", "accelerometer"), Imu(gyr, acc, None, steps.dt))
-    return Stream(steps.time, np.where(found.valid[:, None], found.quaternion, np.nan), "1", "earth")
+    found = orientation_filters.run(chosen, RAW, Imu(gyr, acc, None, steps.dt))
+    quaternion = np.where(found.valid[:, None], found.quaternion, np.nan)
+    return Stream(steps.time, quaternion, "1", "earth"), imu_steps.rateless(steps, [prefix])
 
 
 def _right_order(

@@ -6,17 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.cli import orientation_errors
-from jaxest.cli.methods import SIZE, Outcome, Request, orientation_filters
-from jaxest.io import SensorLog, Stream, ticks, to_si
-from jaxest.io.log import refuse_nan, stream, where
+from jaxest.cli.methods import SIZE, Outcome, Request, imu_steps, orientation_filters
+from jaxest.cli.methods.imu_steps import KINDS
+from jaxest.io import SensorLog, Stream, to_si
+from jaxest.io.log import stream, where
 from jaxest.io.report import Row
 from jaxest.io.units import kind_of
-from jaxest.types import OUT_OF_RANGE, InputError, Reading, unknown_name
+from jaxest.types import OUT_OF_RANGE, InputError, unknown_name
 
-KINDS = ("gyroscope", "accelerometer", "magnetometer")
-HOLD = 1.5  # median intervals of the gyroscope for which its last reading stands in at a tick of another sensor
 LOST = 0.01  # share of steps at which numbers outgrew the precision above which the result must not be used
-MISSING = 0.1  # share of steps without a rate, likewise
 
 
 class Choice(NamedTuple):
@@ -51,7 +49,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     """
     log = to_si(log)
     choice = choose(log, request)
-    steps = merged(log, choice, request.nan)
+    steps = imu_steps.merged(log, [choice.prefix], choice.kinds, request.nan)
     info = orientation_filters.run(choice.filter, choice.kinds, measurements(choice, steps))
     valid = np.asarray(info.valid)
 
@@ -88,7 +86,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
         orientation.draw(path, steps.time, quaternion, covariance, truth=truth, movement=movement, heading=heading,
                          title=title)  # fmt: skip
 
-    return Outcome(written, rows, notes, _refused(info, steps), draw)
+    return Outcome(written, rows, notes, _refused(info, steps) + imu_steps.rateless(steps, [choice.prefix]), draw)
 
 
 def schema() -> dict[str, Any]:
@@ -143,24 +141,8 @@ def _only_imu(log: SensorLog) -> str:
     return found[0] if found else ""
 
 
-def merged(log: SensorLog, choice: Choice, nan: str) -> Any:
-    """Return the streams as `Ticks`; the gyroscope's last reading stands in where only another sensor has one."""
-    gyro = stream(log, choice.names[0])
-    interval = float(np.median(np.diff(gyro.time))) if len(gyro.time) > 1 else 0.0
-    if nan == "error":
-        for name in choice.names:
-            refuse_nan(stream(log, name), f"{where(log)}stream {name!r}", 'nan = "missing" in a config')
-    steps = ticks(log, choice.names, tolerance=interval / 2, dtype=np.float32,
-                  nan="invalid")  # fmt: skip
-    value, valid = steps.readings[choice.names[0]]
-    last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
-    near = (last >= 0) & (steps.time - steps.time[last] <= HOLD * interval)
-    held: Any = np.where(near[:, None], value[last], value), near
-    return steps._replace(readings={**steps.readings, choice.names[0]: Reading(*held)})
-
-
 def measurements(choice: Choice, steps: Any) -> Any:
-    """Return what `merged` gave as the filters' measurements, `imu.Imu` with leaves (T, ...)."""
+    """Return what `imu_steps.merged` gave as the filters' measurements, `imu.Imu` with leaves (T, ...)."""
     from jaxest.filters.imu import Imu
 
     gyr, acc, mag = (steps.readings.get(choice.prefix + kind) for kind in KINDS)
@@ -203,10 +185,5 @@ def _refused(info: Any, steps: Any) -> list[str]:
         step = float(np.median(steps.dt[1:])) if len(steps.dt) > 1 else 0.0
         reasons.append(
             f"its covariance grew out of range: steps of {step:.3g} s are too long for these gains and this motion"
-        )
-    gyro = next(iter(steps.readings.values())).valid
-    if np.mean(~gyro) > MISSING:
-        reasons.append(
-            f"{100 * np.mean(~gyro):.0f} % of the steps have no angular rate, more than {100 * MISSING:.0f} %"
         )
     return reasons

@@ -8,21 +8,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxest.cli.methods import SIZE, Outcome, Request, posture_checks
+from jaxest.cli.methods import SIZE, Outcome, Request, imu_steps, posture_checks
+from jaxest.cli.methods.imu_steps import KINDS
 from jaxest.cli.methods.orientation import imus as imus_in
 from jaxest.cli.truth import joints
-from jaxest.io import SensorLog, Stream, ticks, to_si
-from jaxest.io.log import refuse_nan, stream, where
+from jaxest.io import SensorLog, Stream, to_si
+from jaxest.io.log import stream, where
 from jaxest.io.report import Row
 from jaxest.metrics import circular_error
 from jaxest.types import NON_FINITE, InputError, Reading, unknown_name
 
-KINDS = ("gyroscope", "accelerometer", "magnetometer")
 FILTERS = {
     "ekf": "jaxest.filters.attitude.ekf",
     "decoupled": "jaxest.filters.attitude.decoupled",
     "complementary": "jaxest.filters.complementary",
 }
+NUMBERS = ("initial_heading", "memory")
 SURE = 0.5
 """Share of a coordinate's variance that must have gone for it to count as observed."""
 BROKEN = 0.1
@@ -64,8 +65,10 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
     robot, log = kinematics.load(request.robot), to_si(log)
     choice = choose(log, robot, request)
     notes = [note for imu in choice.imus for note in posture_checks.check(log, imu, choice.kinds)]
-    time, measurements = _measured(log, choice, request.nan)
-    params, system, measurements, said = _prepared(robot, choice, time, measurements)
+    prefixes = [f"{imu}/" for imu in choice.imus]
+    steps = imu_steps.merged(log, prefixes, choice.kinds, request.nan)
+    time, notes = steps.time, notes + imu_steps.rateless(steps, prefixes)
+    params, system, measurements, said = _prepared(robot, choice, time, _measured(steps, choice))
     info = _run(system, params, measurements)
     columns = _hinges(robot)
     names = tuple(columns)
@@ -102,7 +105,7 @@ def estimate(log: SensorLog, request: Request) -> Outcome:
 
 def schema() -> dict[str, Any]:
     """Return what may be in the config's table `[posture]`, as `jaxest.io.config` takes it."""
-    numbers = dict.fromkeys(("initial_heading", "memory"), float)
+    numbers = dict.fromkeys(NUMBERS, float)
     return {"imus": {"*": str}, "magnetometer": bool, "filter": str, "zero_posture": list, **numbers}
 
 
@@ -150,7 +153,10 @@ def choose(log: SensorLog, robot: Any, request: Request) -> Choice:
     times = [x for x in zero or () if isinstance(x, int | float) and not isinstance(x, bool)]
     if zero is not None and not (len(times) == len(zero) == 2 and 0 <= times[0] < times[1]):
         raise InputError(f"[posture] zero_posture: got {zero}, expected two times in s, as in [0.0, 1.0]")
-    numbers = {key: float(settings[key]) for key in ("initial_heading", "memory") if key in settings}
+    numbers = {key: float(settings[key]) for key in NUMBERS if key in settings}
+    for key, number in numbers.items():
+        if not 0 < number < np.inf:
+            raise InputError(f"[posture] {key}: got {number:g}, expected a finite number above 0")
     return Choice(dict(given), kinds, str(name), None if zero is None else (float(zero[0]), float(zero[1])), numbers)
 
 
@@ -158,25 +164,15 @@ def _frame_of(imu: str, frames: tuple[str, ...]) -> str:
     return next((name for name in (f"site:{imu}", imu) if name in frames), "")
 
 
-def _measured(log: SensorLog, choice: Choice, nan: str) -> tuple[NDArray[np.float64], Any]:
+def _measured(steps: Any, choice: Choice) -> Any:
+    """The steps of the IMUs' streams as measurements, leaves (T, number of IMUs, ...)."""
     from jaxest.filters.imu import Imu
 
-    names = [f"{imu}/{kind}" for imu in choice.imus for kind in choice.kinds]
-    if nan == "error":
-        for name in names:
-            refuse_nan(stream(log, name), f"{where(log)}stream {name!r}", 'nan = "missing" in a config')
-    gyro = stream(log, names[0])
-    interval = float(np.median(np.diff(gyro.time))) if len(gyro.time) > 1 else 0.0
-    steps = ticks(log, names, tolerance=interval / 2, dtype=np.float32, nan="invalid")
-    readings: list[Any] = []
-    for kind in KINDS:
-        if kind not in choice.kinds:
-            readings.append(None)
-            continue
+    readings: list[Any] = [None] * len(KINDS)
+    for at, kind in enumerate(choice.kinds):
         found = [steps.readings[f"{imu}/{kind}"] for imu in choice.imus]
-        value, valid = (np.stack([np.asarray(r[i]) for r in found], axis=1) for i in (0, 1))
-        readings.append(Reading(value, valid))  # type: ignore[arg-type]
-    return steps.time, Imu._make([*readings, steps.dt])
+        readings[at] = Reading(*(np.stack(parts, axis=1) for parts in zip(*found, strict=True)))  # type: ignore[arg-type]
+    return Imu._make([*readings, steps.dt])
 
 
 def _prepared(robot: Any, choice: Choice, time: NDArray[np.float64], measurements: Any) -> Any:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxest.cli.methods import Request, orientation, orientation_filters
+from jaxest.cli.methods import Request, imu_steps, orientation, orientation_filters
 from jaxest.cli.tunable import Source, Tunable, constrained, plain, refuse_goal
 from jaxest.io import to_si
 from jaxest.io.log import where
@@ -84,7 +84,7 @@ def _recording(source: Source, choice: orientation.Choice, request: Request) -> 
     """Readings and the truth at their times."""
     from jaxest import tuning
 
-    steps = orientation.merged(source.log, choice, request.nan)
+    steps = imu_steps.merged(source.log, [choice.prefix], choice.kinds, request.nan)
     if source.truth is None or source.truth is source.log:
         truth, movement, _ = orientation.known_truth(source.log, choice, steps.time)
     else:
