@@ -12,30 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.calibration import clock
-from jaxest.filters import savitzky_golay as sg
 from jaxest.manifolds import quaternion as quat
-from jaxest.stamps import longest
 from jaxest.systems import onsite_batch
 from jaxest.systems._onsite_clipped import clipped, without_clipped
+from jaxest.systems._onsite_imu import Imu, brought, resampled
 from jaxest.systems.onsite_simulation import Pair
 from jaxest.types import InputError, Reading
 
-ALIGNING = (3, 5)  # N and M of the fit that brings P's readings to A's stamps: next to no smoothing
 MOST_CLIPPED = 0.1  # share of clipped samples above which the rest says too little of the quick motion
 LOOSE = (0.15, 4.0)  # residual of the rates over their size, and over their noise, above which no link is rigid
 SHARP = (math.radians(5.0), 0.02)  # standard deviations, rad and m, above which a component counts as open
 DRIFT = 0.005  # s over the recording above which two clocks must not be taken for one
-
-
-class Imu(NamedTuple):
-    """One IMU's recording."""
-
-    time: NDArray[np.float64]
-    """(n,) s, increasing."""
-    gyroscope: NDArray[np.float64]
-    """(n, 3) rad/s."""
-    accelerometer: NDArray[np.float64]
-    """(n, 3) m/s2."""
 
 
 class Found(NamedTuple):
@@ -89,16 +76,6 @@ def pair(a: Imu, p: Imu, *, offset: float = 0.0) -> tuple[NDArray[np.float64], P
 
 def _reading(value: Any, valid: Any) -> Reading:
     return Reading(value, valid)
-
-
-def brought(imu: Imu, time: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return an IMU's rates and forces (T, 6) at given times, and whether they are there rather than in a gap (T,)."""
-    half_width, degree = ALIGNING
-    values = np.hstack([imu.gyroscope, imu.accelerometer])
-    fitted = sg.smooth(imu.time, values, query=time, half_width=half_width, degree=degree)
-    right = np.clip(np.searchsorted(imu.time, time), 1, len(imu.time) - 1)
-    near = imu.time[right] - imu.time[right - 1] <= longest(imu.time)
-    return np.asarray(fitted.value, np.float64), np.asarray(fitted.valid) & near
 
 
 def estimate(
@@ -284,5 +261,6 @@ __all__ = [
     "noise",
     "not_rigid",
     "pair",
+    "resampled",
     "rotation_error",
 ]
