@@ -30,4 +30,18 @@ def gaps(time: NDArray[np.float64]) -> NDArray[Any]:
     return np.flatnonzero(np.diff(time) > longest(time))
 
 
-__all__ = ["GAP", "gaps", "longest"]
+def around(time: NDArray[np.float64], query: NDArray[np.float64]) -> NDArray[Any]:
+    """Return the rows of the two samples around each time; of one outside, those at that end.
+
+    Args:
+        time: (n,) s, increasing, two at least.
+        query: (Q,) s.
+
+    Returns:
+        (Q, 2)
+    """
+    right = np.clip(np.searchsorted(time, query), 1, len(time) - 1)
+    return np.stack([right - 1, right], axis=1)
+
+
+__all__ = ["GAP", "around", "gaps", "longest"]

@@ -19,3 +19,8 @@ def test_one_lost_sample_is_no_gap_and_two_are():
 @pytest.mark.parametrize("time", [[], [1.0], [1.0, 9.0]])
 def test_a_few_stamps_have_no_gap(time):
     assert len(stamps.gaps(np.array(time))) == 0
+
+
+def test_samples_around_a_time():
+    rows = stamps.around(np.array([0.0, 1.0, 5.0]), np.array([-1.0, 0.5, 1.0, 4.0, 9.0]))
+    np.testing.assert_array_equal(rows, [[0, 1], [0, 1], [0, 1], [1, 2], [1, 2]])

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from jaxest.calibration import clock
 from jaxest.manifolds import quaternion as quat
 from jaxest.systems import onsite_batch
-from jaxest.systems._onsite_clipped import clipped, without_clipped
-from jaxest.systems._onsite_imu import Imu, brought, resampled
+from jaxest.systems._onsite_imu import Imu, at_limit, brought, clipped, resampled
 from jaxest.systems.onsite_simulation import Pair
 from jaxest.types import InputError, Reading
 
@@ -50,7 +49,7 @@ def pair(a: Imu, p: Imu, *, offset: float = 0.0) -> tuple[NDArray[np.float64], P
 
     Returns:
         Times (T,) and measurements with a leading axis of T: A's samples within P's recording, those within a gap of
-        P's invalid.
+        P's or at a sensor's limit invalid.
 
     Raises:
         InputError: the recordings do not overlap, or stamps are wrong.
@@ -66,10 +65,10 @@ def pair(a: Imu, p: Imu, *, offset: float = 0.0) -> tuple[NDArray[np.float64], P
         )
     time = np.asarray(a.time, np.float64)[rows]
     value, there = brought(p._replace(time=stamps), time)
-    here = np.ones(len(rows), bool)
+    here = ~at_limit(a)[rows]
     dt = np.diff(time, prepend=time[0])
-    own: Any = [_reading(np.asarray(x, np.float64)[rows], here) for x in (a.gyroscope, a.accelerometer)]
-    other: Any = [_reading(value[:, s], there) for s in (slice(0, 3), slice(3, 6))]
+    own = [_reading(np.asarray(x, np.float64)[rows], here[:, k]) for k, x in enumerate((a.gyroscope, a.accelerometer))]
+    other = [_reading(value[:, s], there[:, k]) for k, s in enumerate((slice(0, 3), slice(3, 6)))]
     (rates, forces), (others, felt) = own, other
     return time, Pair(rates, forces, others, felt, dt)
 
@@ -104,7 +103,6 @@ def estimate(
     if late:
         notes.append(f"{names[1]}'s clock shows {1e3 * late:+.2f} ms against {names[0]}'s: taken off")
     time, measurements = pair(a, p, offset=late)
-    measurements = without_clipped(measurements)
     choice = onsite_batch.choose(measurements, prior)
     found = choice.estimate
     if offset:
@@ -140,7 +138,7 @@ def late_by(
         The square of the shift that one standard deviation causes.
     """
     value, there = brought(p._replace(time=np.asarray(p.time, np.float64) - offset - error), time)
-    there = there & np.asarray(measurements.gyroscope_p.valid) & np.asarray(measurements.accelerometer_p.valid)
+    there = there.all(axis=1) & np.asarray(measurements.gyroscope_p.valid & measurements.accelerometer_p.valid)
     rates, forces = _reading(value[:, :3], there), _reading(value[:, 3:], there)
     every = onsite_batch.choose(measurements._replace(gyroscope_p=rates, accelerometer_p=forces), prior).all
     formal = np.asarray(choice.all.formal)
@@ -169,8 +167,8 @@ def _clocks(a: Imu, p: Imu, names: tuple[str, str]) -> clock.Offset | None:
 
 def _clipped(name: str, imu: Imu) -> list[str]:
     notes = []
-    for kind, value in (("gyroscope", imu.gyroscope), ("accelerometer", imu.accelerometer)):
-        share = float(np.mean(clipped(value)))
+    shares = np.mean(at_limit(imu), axis=0)
+    for kind, value, share in zip(("gyroscope", "accelerometer"), imu[1:3], shares, strict=True):
         if share > MOST_CLIPPED:
             raise InputError(
                 f"{name}/{kind}: saturated in {100 * share:.0f} % of the samples, at {np.abs(value).max():.4g}; "

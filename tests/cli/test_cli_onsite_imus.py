@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from jaxest.calibration.imu import Calibration
 from jaxest.cli.methods import onsite_imus
 from jaxest.io import SensorLog, Stream
+from jaxest.systems.onsite_recording import brought
 from jaxest.types import InputError
 
 TIME = np.arange(400) / 100
@@ -39,3 +41,20 @@ def test_an_accelerometer_that_cannot_be_brought_to_the_gyro_is_named():
         onsite_imus.recording(logged(TIME, TIME + 100), "imu0", "error", {})
     with pytest.raises(InputError, match="imu0/accelerometer: 5 samples, expected at least 50"):
         onsite_imus.recording(logged(TIME, TIME[:5]), "imu0", "error", {})
+
+
+@pytest.mark.parametrize("late", [0.0, 0.003])
+def test_a_calibration_does_not_hide_what_stands_at_a_limit(late):
+    log = logged(TIME, TIME + late)
+    flat = Stream(TIME + late, np.clip(log.streams["imu0/accelerometer"].value, -8.5, 8.5), "m/s2")
+    log.streams["imu0/accelerometer"] = flat
+    askew = np.eye(3) + 0.01 * np.random.default_rng(0).normal(size=(3, 3))
+    known = {"imu0": Calibration(np.full(3, 0.1), 0.01, askew, np.zeros(3), 0.1)}
+    imu = onsite_imus.recording(log, "imu0", "error", known)
+    expected = np.any(np.abs(9 * moving(imu.time)) > 8.6, axis=1)
+    assert expected.any()
+    assert imu.clipped[expected, 1].all()
+    assert not imu.clipped[np.all(np.abs(9 * moving(imu.time)) < 8, axis=1)].any()
+    there = brought(imu, imu.time[:-1] + 0.005)[1]
+    assert not there[expected[:-1], 1].any()
+    assert there[:, 0].all()

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from jaxest.io import SensorLog
 from jaxest.io.log import finite_rows, refuse_nan, stream, where
-from jaxest.stamps import GAP, longest
+from jaxest.stamps import GAP, around, longest
 from jaxest.types import InputError
 
 KINDS = ("gyroscope", "accelerometer")
@@ -20,7 +20,7 @@ FEWEST = 50  # samples of an IMU
 def recording(log: SensorLog, name: str, nan: str, known: Mapping[str, Any]) -> Any:
     """Return one IMU's recording, calibrated; the accelerometer at the gyroscope's stamps, where it has others.
 
-    What lies in a gap of either is left out.
+    What lies in a gap of either is left out; which readings stand at a limit is told from those before calibration.
 
     Args:
         log: the log, in SI units.
@@ -36,17 +36,20 @@ def recording(log: SensorLog, name: str, nan: str, known: Mapping[str, Any]) -> 
             time in common, or the accelerometer is much slower than the gyroscope.
     """
     from jaxest.calibration import imu as calibrated
-    from jaxest.systems.onsite_recording import Imu, resampled
+    from jaxest.systems.onsite_recording import Imu, clipped, resampled
 
     gyro, force = (stream(log, f"{name}/{kind}") for kind in KINDS)
     for item, kind in ((gyro, KINDS[0]), (force, KINDS[1])):
         if nan == "error":
             refuse_nan(item, f"{where(log)}stream '{name}/{kind}'", 'nan = "missing" in a config')
     time, rates, forces = gyro.time, np.asarray(gyro.value, np.float64), np.asarray(force.value, np.float64)
+    flat = [clipped(rates), clipped(forces)]
     if not np.array_equal(time, force.time):
         there = finite_rows(forces)
-        _refuse_apart(log, name, time, force.time[there])
-        forces, there = resampled(force.time[there], forces[there], time)
+        stamps, forces = force.time[there], forces[there]
+        _refuse_apart(log, name, time, stamps)
+        flat[1] = flat[1][there][around(stamps, time)].any(axis=1)
+        forces, there = resampled(stamps, forces, time)
         forces = np.where(there[:, None], forces, np.nan)
     kept = finite_rows(rates) & finite_rows(forces)
     time, rates, forces = time[kept], rates[kept], forces[kept]
@@ -54,7 +57,7 @@ def recording(log: SensorLog, name: str, nan: str, known: Mapping[str, Any]) -> 
         raise InputError(f"{where(log)}{name}: {len(time)} samples, expected at least {FEWEST}")
     if name in known:
         rates, forces = calibrated.apply(known[name], rates, forces)
-    return Imu(time, rates, forces)
+    return Imu(time, rates, forces, np.column_stack(flat)[kept])
 
 
 def _refuse_apart(log: SensorLog, name: str, gyro: NDArray[np.float64], force: NDArray[np.float64]) -> None:

@@ -76,7 +76,7 @@ def _biases(names: Sequence[tuple[str, str]], links: Any) -> tuple[NDArray[np.fl
     for k, ends in enumerate(names):
         for e, name in enumerate(ends):
             try:
-                bias[k, e] = imu_static.calibrate(*links[k][e]).gyroscope_bias
+                bias[k, e] = imu_static.calibrate(*links[k][e][:3]).gyroscope_bias
             except InputError:
                 notes.append(f"{name}: no rest in the recording, its gyro's bias is estimated along")
     return bias, notes
