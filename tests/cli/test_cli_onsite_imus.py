@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxest.calibration.imu import Calibration
+from jaxest.calibration import imu as calibration
 from jaxest.cli.methods import onsite_imus
 from jaxest.io import SensorLog, Stream
 from jaxest.systems.onsite_recording import brought
@@ -49,7 +49,7 @@ def test_a_calibration_does_not_hide_what_stands_at_a_limit(late):
     flat = Stream(TIME + late, np.clip(log.streams["imu0/accelerometer"].value, -8.5, 8.5), "m/s2")
     log.streams["imu0/accelerometer"] = flat
     askew = np.eye(3) + 0.01 * np.random.default_rng(0).normal(size=(3, 3))
-    known = {"imu0": Calibration(np.full(3, 0.1), 0.01, askew, np.zeros(3), 0.1)}
+    known = {"imu0": calibration.Calibration(np.full(3, 0.1), 0.01, askew, np.zeros(3), 0.1)}
     imu = onsite_imus.recording(log, "imu0", "error", known)
     expected = np.any(np.abs(9 * moving(imu.time)) > 8.6, axis=1)
     assert expected.any()
@@ -58,3 +58,15 @@ def test_a_calibration_does_not_hide_what_stands_at_a_limit(late):
     there = brought(imu, imu.time[:-1] + 0.005)[1]
     assert not there[expected[:-1], 1].any()
     assert there[:, 0].all()
+
+
+def test_a_calibration_of_other_names_is_refused_and_what_it_is_of_is_said(tmp_path):
+    one = calibration.Calibration(np.zeros(3), 0.01, np.eye(3), np.zeros(3), 0.1)
+    file = tmp_path / "imus.json"
+    calibration.save({"imu0": one, "IMU_1": one}, file)
+    known, notes = onsite_imus.calibrations({"calibration": str(file)}, ["imu0", "imu1"])
+    assert set(known) == {"imu0", "IMU_1"}
+    assert notes == [f"{file}: calibration of imu0; not of imu1, taken as they come"]
+    with pytest.raises(InputError, match=r"imus.json: calibration of 'imu2' does not exist; did you mean 'imu0'"):
+        onsite_imus.calibrations({"calibration": str(file)}, ["imu2", "imu3"])
+    assert onsite_imus.calibrations({}, ["imu0"]) == ({}, [])

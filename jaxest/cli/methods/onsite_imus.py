@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from jaxest.io import SensorLog
 from jaxest.io.log import finite_rows, refuse_nan, stream, where
 from jaxest.stamps import GAP, around, longest
-from jaxest.types import InputError
+from jaxest.types import InputError, unknown_name
 
 KINDS = ("gyroscope", "accelerometer")
 AXES = ("gyroscope_axes", "accelerometer_axes")
@@ -78,11 +78,30 @@ def _refuse_apart(log: SensorLog, name: str, gyro: NDArray[np.float64], force: N
         )
 
 
-def calibrations(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the config's file of calibrations says of each IMU; empty where there is none."""
+def calibrations(settings: Mapping[str, Any], names: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
+    """Return what the config's file of calibrations says of each IMU, and which IMUs it is of.
+
+    Args:
+        settings: the config's table `[onsite]`.
+        names: of the IMUs that are used.
+
+    Returns:
+        Calibrations by name, none where there is no file; and notes.
+
+    Raises:
+        InputError: the file knows none of the IMUs.
+    """
     from jaxest.calibration import imu as calibrated
 
-    return calibrated.load(settings["calibration"]) if "calibration" in settings else {}
+    if "calibration" not in settings:
+        return {}, []
+    file = settings["calibration"]
+    known = calibrated.load(file)
+    there, missing = ([n for n in names if (n in known) is which] for which in (True, False))
+    if not there:
+        raise unknown_name(f"{file}: calibration of", names[0], known)
+    without = f"; not of {', '.join(missing)}, taken as they come" if missing else ""
+    return known, [f"{file}: calibration of {', '.join(there)}{without}"]
 
 
 def axes_off(

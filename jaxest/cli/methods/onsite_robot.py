@@ -38,17 +38,19 @@ def estimate(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
     from jaxest.kinematics import to_mjcf, to_urdf
     from jaxest.systems import onsite_chain
 
-    described, known = onsite_config.modules(settings), calibrations(settings)
+    described = onsite_config.modules(settings)
+    names = [name for ends in described.imus for name in ends]
+    known, notes = calibrations(settings, names)
     links: Any = [tuple(recording(log, name, nan, known) for name in ends) for ends in described.imus]
-    bias, notes = _biases(described.imus, links)
+    bias, moving = _biases(described.imus, links)
     time, samples = onsite_chain.samples(links)
     step = float(np.median(np.diff(time)))
     system = onsite_chain.build(described.assembly, half_width=max(2, round(0.08 / step)))
     limits = {"position_limit": float(settings.get("position_limit", 0.005)),
               "rotation_limit": math.radians(float(settings.get("rotation_limit_deg", 0.1)))}  # fmt: skip
     params = system.default_params._replace(bias=bias, **limits)
-    axes = dict(zip(AXES, axes_off(settings, [n for ends in described.imus for n in ends], known, max), strict=True))
-    params = params._replace(pair=params.pair._replace(gyroscope_bias=0.3 if notes else 0.003, **axes))
+    axes = dict(zip(AXES, axes_off(settings, names, known, max), strict=True))
+    params = params._replace(pair=params.pair._replace(gyroscope_bias=0.3 if moving else 0.003, **axes))
     params, samples = single((params, samples))
     info = jax.tree.map(np.asarray, run(system.step, params, system.init(params), samples)[1])
     final = jax.tree.map(lambda x: x[-1], info)
@@ -65,7 +67,7 @@ def estimate(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
         picture.draw(path, time, curves, {}, None, title=title)
 
     texts = dict(zip(FILES, (to_mjcf(robot), to_urdf(robot)), strict=True))
-    return Outcome(SensorLog(streams, log.source), rows, notes, refused, draw, texts)
+    return Outcome(SensorLog(streams, log.source), rows, notes + moving, refused, draw, texts)
 
 
 def _biases(names: Sequence[tuple[str, str]], links: Any) -> tuple[NDArray[np.float64], list[str]]:
