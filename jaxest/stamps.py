@@ -44,4 +44,9 @@ def around(time: NDArray[np.float64], query: NDArray[np.float64]) -> NDArray[Any
     return np.stack([right - 1, right], axis=1)
 
 
-__all__ = ["GAP", "around", "gaps", "longest"]
+def near(time: NDArray[np.float64], query: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which times (Q,) lie between two samples that no gap parts, arguments as for `around`."""
+    return np.ptp(time[around(time, query)], axis=1) <= longest(time)
+
+
+__all__ = ["GAP", "around", "gaps", "longest", "near"]

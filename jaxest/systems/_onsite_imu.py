@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.filters import savitzky_golay as sg
-from jaxest.stamps import around, longest
+from jaxest.stamps import around, near
 
 ALIGNING = (3, 5)  # N and M of the fit that brings readings to other times: next to no smoothing
 CLIPPED = 3  # equal readings in a row, at the largest value of the axis, that look like a limit and not like chance
@@ -76,8 +76,7 @@ def resampled(
     """
     half_width, degree = ALIGNING
     fitted = sg.smooth(stamps, values, query=time, half_width=half_width, degree=degree)
-    near = np.ptp(stamps[around(stamps, time)], axis=1) <= longest(stamps)
-    return np.asarray(fitted.value, np.float64), np.asarray(fitted.valid) & near
+    return np.asarray(fitted.value, np.float64), np.asarray(fitted.valid) & near(stamps, time)
 
 
 __all__ = ["Imu", "at_limit", "brought", "clipped", "resampled"]
