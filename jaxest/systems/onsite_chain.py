@@ -287,7 +287,9 @@ def rebuild(assembly: Assembly, info: Info, *, name: str = "assembly") -> Robot:
     for row, k in enumerate(assembly.unknown):
         names = f"{assembly.modules[k].name!r} to {assembly.modules[k + 1].name!r}"
         if not bool(info.imus.valid[row]):
-            why = explain(np.asarray(info.imus.covariance[row], float)) or "too few samples"
+            why = explain(np.asarray(info.imus.covariance[row], float)) or (
+                "too few samples, or rates of its two IMUs that do not agree"
+            )
             raise InputError(f"the link from {names} is not determined: {why}")
     return assemble(assembly, poses(info), name=name)
 

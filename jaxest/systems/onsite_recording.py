@@ -5,7 +5,7 @@ a covariance leaves open.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -19,7 +19,8 @@ from jaxest.systems.onsite_simulation import Pair
 from jaxest.types import InputError, Reading
 
 MOST_CLIPPED = 0.1  # share of clipped samples above which the rest says too little of the quick motion
-LOOSE = (0.15, 4.0)  # residual of the rates over their size, and over their noise, above which no link is rigid
+LOOSE = {"rates": 0.15, "forces": 0.3}  # what is left over their size, above which no link is rigid; forces have biases
+NOISY = 4.0  # likewise over their noise
 SHARP = (math.radians(5.0), 0.02)  # standard deviations, rad and m, above which a component counts as open
 DRIFT = 0.005  # s over the recording above which two clocks must not be taken for one
 
@@ -97,11 +98,7 @@ def estimate(
         InputError: too few samples, saturated sensors, clocks that drift, IMUs that are not on one rigid link, or too
             little rotation; which sensor, axis or component is named.
     """
-    notes = [note for name, imu in zip(names, (a, p), strict=True) for note in _clipped(name, imu)]
-    offset = _clocks(a, p, names) if align_clocks else None
-    late = offset.seconds if offset and abs(offset.seconds) > 5 * offset.deviation else 0.0
-    if late:
-        notes.append(f"{names[1]}'s clock shows {1e3 * late:+.2f} ms against {names[0]}'s: taken off")
+    offset, late, notes = checked(a, p, names, align_clocks=align_clocks)
     time, measurements = pair(a, p, offset=late)
     choice = onsite_batch.choose(measurements, prior)
     found = choice.estimate
@@ -110,13 +107,38 @@ def estimate(
         error = math.hypot(offset.deviation, offset.seconds - late)
         late_too = found.covariance + late_by(p, late, error, time, measurements, choice, prior)
         found = found._replace(covariance=late_too)
-    loose = not_rigid(measurements, found)
-    if loose:
-        raise InputError(f"{names[0]} and {names[1]} are not on one rigid link: {loose}")
+    one, other = (np.asarray(x.value, np.float64) for x in (measurements.gyroscope_a, measurements.gyroscope_p))
+    refuse_loose(names, "rates", one, other, float(found.rate_residual))
     why = explain(np.asarray(found.covariance, np.float64))
     if why:
         raise InputError(f"the pose of {names[1]} in {names[0]} is not determined: {why}")
-    return Found(found, int(choice.half_width), offset, time, measurements, tuple(notes))
+    return Found(found, int(choice.half_width), offset, time, measurements, notes)
+
+
+def checked(
+    a: Imu, p: Imu, names: tuple[str, str], *, align_clocks: bool = True
+) -> tuple[clock.Offset | None, float, tuple[str, ...]]:
+    """Check two recordings for saturated sensors and for clocks that do not agree.
+
+    Args:
+        a: one IMU.
+        p: the other on its link.
+        names: of the two, for messages.
+        align_clocks: whether to look for an offset of the clocks.
+
+    Returns:
+        The offset, None where it was not looked for or the motion does not tell; what of it is certain, s, to be taken
+        off P's stamps; and what was found, a sentence each.
+
+    Raises:
+        InputError: a sensor is saturated too often, or the clocks drift.
+    """
+    notes = [note for name, imu in zip(names, (a, p), strict=True) for note in _clipped(name, imu)]
+    offset = _clocks(a, p, names) if align_clocks else None
+    late = offset.seconds if offset and abs(offset.seconds) > 5 * offset.deviation else 0.0
+    if late:
+        notes.append(f"{names[1]}'s clock shows {1e3 * late:+.2f} ms against {names[0]}'s: taken off")
+    return offset, late, tuple(notes)
 
 
 def late_by(
@@ -189,30 +211,35 @@ def noise(values: NDArray[np.float64]) -> float:
     return float(min(np.sqrt(np.mean(np.diff(values, n, axis=0) ** 2) / math.comb(2 * n, n)) for n in orders))
 
 
-def not_rigid(measurements: Pair, found: onsite_batch.Estimate) -> str:
-    """Say why two IMUs cannot be on one rigid link; nothing where they may.
+def refuse_loose(
+    names: tuple[str, str], what: Literal["rates", "forces"], a: NDArray[np.float64], p: NDArray[np.float64],
+    left: float,
+) -> None:  # fmt: skip
+    """Refuse two IMUs that cannot be on one rigid link.
 
-    On one link the rates agree once turned. What is left of their difference is compared with the sensors' noise, and
-    with the motion: scale errors of sensors that nobody calibrated leave a few per cent.
+    On one link the rates agree once turned, and the forces once brought to one place as well. What is left of their
+    difference is compared with the sensors' noise, and with the motion: scale errors of sensors that nobody calibrated
+    leave a few per cent.
 
     Args:
-        measurements: the samples.
-        found: the estimate from them.
+        names: of the two, for messages.
+        what: is compared.
+        a: (n, 3) rad/s or m/s2, of one.
+        p: (m, 3), of the other.
+        left: rad/s or m/s2, standard deviation about an axis of what is left of their difference.
 
-    Returns:
-        A sentence, or nothing.
+    Raises:
+        InputError: it is too much.
     """
-    a, p = (np.asarray(getattr(measurements, f"gyroscope_{s}").value, np.float64) for s in "ap")
-    left = float(found.rate_residual)
-    size = float(np.sqrt(np.mean((a - a.mean(axis=0)) ** 2)))
-    level = math.hypot(noise(a), noise(p))
-    if left > LOOSE[0] * size and left > LOOSE[1] * level:
-        return (
-            f"their rates differ by {left:.3g} rad/s rms about an axis once turned, "
-            f"{left / level:.0f} times their noise and {100 * left / size:.0f} % of the motion; expected at most "
-            f"{LOOSE[1]:g} times or {100 * LOOSE[0]:.0f} %"
+    rest = a.mean(axis=0) if what == "rates" else 0.0  # errors of scale are of gravity, too
+    size, level = float(np.sqrt(np.mean((a - rest) ** 2))), math.hypot(noise(a), noise(p))
+    if left > LOOSE[what] * size and left > NOISY * level:
+        unit, wrong = ("rad/s", "") if what == "rates" else ("m/s2", ", or a sensor's axis points the wrong way")
+        raise InputError(
+            f"{names[0]} and {names[1]} are not on one rigid link{wrong}: their {what} differ by {left:.3g} {unit} rms "
+            f"about an axis once turned, {left / level:.0f} times their noise and {100 * left / size:.0f} % of "
+            f"their size; expected at most {NOISY:g} times or {100 * LOOSE[what]:.0f} %"
         )
-    return ""
 
 
 def explain(covariance: NDArray[np.float64]) -> str:
@@ -252,13 +279,14 @@ __all__ = [
     "Found",
     "Imu",
     "brought",
+    "checked",
     "clipped",
     "estimate",
     "explain",
     "late_by",
     "noise",
-    "not_rigid",
     "pair",
+    "refuse_loose",
     "resampled",
     "rotation_error",
 ]

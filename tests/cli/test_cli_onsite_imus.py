@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from jaxest.calibration import imu as calibration
-from jaxest.cli.methods import onsite_imus
+from jaxest.cli.methods import onsite_imus, onsite_robot
 from jaxest.io import SensorLog, Stream
-from jaxest.systems.onsite_recording import brought
+from jaxest.systems.onsite_recording import Imu, brought, refuse_loose
 from jaxest.types import InputError
 
 TIME = np.arange(400) / 100
@@ -70,3 +70,22 @@ def test_a_calibration_of_other_names_is_refused_and_what_it_is_of_is_said(tmp_p
     with pytest.raises(InputError, match=r"imus.json: calibration of 'imu2' does not exist; did you mean 'imu0'"):
         onsite_imus.calibrations({"calibration": str(file)}, ["imu2", "imu3"])
     assert onsite_imus.calibrations({}, ["imu0"]) == ({}, [])
+
+
+def test_each_link_of_a_robot_is_checked_as_that_of_two_imus():
+    time = np.arange(600) / 100
+    noise = 0.01 * np.random.default_rng(3).normal(size=(4, 600, 3))
+    a, p = (Imu(time, moving(time) + w, 9 * moving(time) + f) for w, f in (noise[:2], noise[2:]))
+    names = [("imu0", "imu1")]
+    (found,), notes = onsite_robot._agreed(names, [(a, p._replace(time=time + 0.02))])
+    np.testing.assert_allclose(found[1].time, time, atol=1e-3)
+    assert notes[0].startswith("imu1's clock shows +")
+    with pytest.raises(InputError, match=r"imu1/accelerometer: saturated in .* % of the samples"):
+        onsite_robot._agreed(names, [(a, p._replace(accelerometer=np.clip(p.accelerometer, -7, 7)))])
+    with pytest.raises(InputError, match="imu0 and imu1 are not on one rigid link: their rates differ by"):
+        onsite_robot._agreed(names, [(a, p._replace(gyroscope=p.gyroscope * [1, 1, -1]))])
+    with pytest.raises(
+        InputError, match=r"link, or a sensor's axis points the wrong way: their forces differ by 3 m/s2"
+    ):
+        refuse_loose(names[0], "forces", a.accelerometer, p.accelerometer, 3.0)
+    refuse_loose(names[0], "forces", a.accelerometer, p.accelerometer, 1.5)
