@@ -44,4 +44,23 @@ def apart(known: NDArray[np.float64], time: NDArray[np.float64]) -> NDArray[np.f
     return ends[np.searchsorted(known, time) + 1] - ends[np.searchsorted(known, time, side="right")]
 
 
-__all__ = ["GAP", "apart", "gaps", "longest"]
+def around(time: NDArray[np.float64], query: NDArray[np.float64]) -> NDArray[Any]:
+    """Return the rows of the two samples around each time; of one outside, those at that end.
+
+    Args:
+        time: (n,) s, increasing, two at least.
+        query: (Q,) s.
+
+    Returns:
+        (Q, 2)
+    """
+    right = np.clip(np.searchsorted(time, query), 1, len(time) - 1)
+    return np.stack([right - 1, right], axis=1)
+
+
+def near(time: NDArray[np.float64], query: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which times (Q,) are a sample's or lie between two that no gap parts, arguments as for `around`."""
+    return apart(time, query) <= longest(time)
+
+
+__all__ = ["GAP", "apart", "around", "gaps", "longest", "near"]

@@ -24,3 +24,10 @@ def test_a_few_stamps_have_no_gap(time):
 def test_how_far_apart_what_is_known_stands_around_a_time():
     found = stamps.apart(np.array([0.0, 1.0, 3.0]), np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 3.0, 4.0]))
     np.testing.assert_array_equal(found, [np.inf, 0, 1, 0, 2, 0, np.inf])
+
+
+def test_samples_around_a_time():
+    rows = stamps.around(np.array([0.0, 1.0, 5.0]), np.array([-1.0, 0.5, 1.0, 4.0, 9.0]))
+    np.testing.assert_array_equal(rows, [[0, 1], [0, 1], [0, 1], [1, 2], [1, 2]])
+    time = np.array([0.0, 1.0, 2.0, 3.0, 7.0, 8.0])
+    np.testing.assert_array_equal(stamps.near(time, np.array([0.5, 3.0, 3.1, 6.9, 7.5])), [1, 1, 0, 0, 1])

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from jaxest.calibration._recordings import recorded
 from jaxest.filters import savitzky_golay as sg
+from jaxest.stamps import longest, near
 from jaxest.types import InputError
 
 
@@ -64,29 +65,37 @@ def offset(
         )
     step = float(np.median(np.diff(ta)))
     grid = np.arange(low, high, step)
-    a = _at(ta, wa, grid, half_width, degree)[0]
+    a, _, there = _at(ta, wa, grid, half_width, degree)
+    grid, a = grid[there], a[there]
     shifts = np.arange(-most, most + step / 2, step)
-    length = np.linalg.norm(a, axis=1)
-    whole = np.linalg.norm(np.column_stack([np.interp(grid, tp, x) for x in wp.T]), axis=1)
-    if np.std(length) < 1e-3 or np.std(whole) < 1e-3:
+    both = [near(tp, grid + s) for s in shifts]
+    least = step * min(np.count_nonzero(there) for there in both)
+    if not least > 2:
+        raise InputError(f"the recordings overlap by {least:.1f} s outside of their gaps, expected more than 2 s")
+    length, sizes = np.linalg.norm(a, axis=1), np.linalg.norm(wp, axis=1)
+    if np.std(length) < 1e-3 or np.std(np.interp(grid, tp, sizes)) < 1e-3:
         raise InputError("the rates hardly vary: shake the link so that the clocks can be compared")
-    sizes = np.linalg.norm(wp, axis=1)
-    alike = [np.corrcoef(length, np.interp(grid + s, tp, sizes))[0, 1] for s in shifts]
+    pairs = zip(shifts, both, strict=True)
+    alike = [np.corrcoef(length[k], np.interp(grid[k] + s, tp, sizes))[0, 1] for s, k in pairs]
     found = float(shifts[int(np.argmax(alike))])
     for _ in range(10):
-        e, slope, left = _compare(a, *_at(tp, wp, grid + found, half_width, degree))
+        p, turn, there = _at(tp, wp, grid + found, half_width, degree)
+        e, slope, left = _compare(a[there], p[there], turn[there])
         change = float(np.sum(slope * e) / np.sum(slope * slope))
         found += change
         if abs(change) < 1e-9:
             break
-    return _judged(found, e, slope, left, grid, step)
+    return _judged(found, e, slope, left, grid[there], step)
 
 
 def _at(
     time: NDArray[np.float64], rate: NDArray[np.float64], query: NDArray[np.float64], half_width: int, degree: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Rates (n, 3), their derivatives (n, 3), and where no gap is near (n,): beside one, a window reaches across."""
     fitted = sg.smooth(time, rate, query=query, half_width=half_width, degree=degree)
-    return np.asarray(fitted.value, np.float64), np.asarray(fitted.derivative, np.float64)
+    stamps = time[sg.windows(time, query, half_width)[0]]
+    there = near(time, query) & (np.ptp(stamps, axis=1) < 2 * half_width * longest(time))
+    return np.asarray(fitted.value, np.float64), np.asarray(fitted.derivative, np.float64), there
 
 
 def _compare(

@@ -241,8 +241,8 @@ def samples(imus: Sequence[tuple[Imu, Imu]]) -> tuple[NDArray[np.float64], Sampl
         imus: recordings of the two IMUs of each unknown link: before it, behind it.
 
     Returns:
-        Times (T,) s and measurements, NumPy arrays with a leading axis of T; what falls into a gap of an IMU is not
-        valid.
+        Times (T,) s and measurements, NumPy arrays with a leading axis of T; what falls into a gap of an IMU or
+        stands at a sensor's limit is not valid.
 
     Raises:
         InputError: recordings do not overlap, or stamps are wrong.
@@ -257,8 +257,8 @@ def samples(imus: Sequence[tuple[Imu, Imu]]) -> tuple[NDArray[np.float64], Sampl
         )
     found = [brought(imu, time) for imu in every]
     value = np.stack([v for v, _ in found], axis=1).reshape(len(time), len(imus), 2, 6)
-    valid = np.stack([there for _, there in found], axis=1).reshape(len(time), len(imus), 2)
-    parts: list[Any] = [(value[..., part], valid) for part in (slice(0, 3), slice(3, 6))]
+    valid = np.stack([there for _, there in found], axis=1).reshape(len(time), len(imus), 2, 2)
+    parts: list[Any] = [(value[..., part], valid[..., k]) for k, part in enumerate((slice(0, 3), slice(3, 6)))]
     readings: Any = [Reading(*part) for part in parts]
     rates, forces = readings
     return time, Sample(rates, forces, np.diff(time, prepend=time[0]))
@@ -287,7 +287,9 @@ def rebuild(assembly: Assembly, info: Info, *, name: str = "assembly") -> Robot:
     for row, k in enumerate(assembly.unknown):
         names = f"{assembly.modules[k].name!r} to {assembly.modules[k + 1].name!r}"
         if not bool(info.imus.valid[row]):
-            why = explain(np.asarray(info.imus.covariance[row], float)) or "too few samples"
+            why = explain(np.asarray(info.imus.covariance[row], float)) or (
+                "too few samples, or rates of its two IMUs that do not agree"
+            )
             raise InputError(f"the link from {names} is not determined: {why}")
     return assemble(assembly, poses(info), name=name)
 

@@ -5,37 +5,24 @@ a covariance leaves open.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxest.calibration import clock
-from jaxest.filters import savitzky_golay as sg
 from jaxest.manifolds import quaternion as quat
-from jaxest.stamps import longest
 from jaxest.systems import onsite_batch
-from jaxest.systems._onsite_clipped import clipped, without_clipped
+from jaxest.systems._onsite_imu import Imu, at_limit, brought, clipped, resampled
 from jaxest.systems.onsite_simulation import Pair
 from jaxest.types import InputError, Reading
 
-ALIGNING = (3, 5)  # N and M of the fit that brings P's readings to A's stamps: next to no smoothing
 MOST_CLIPPED = 0.1  # share of clipped samples above which the rest says too little of the quick motion
-LOOSE = (0.15, 4.0)  # residual of the rates over their size, and over their noise, above which no link is rigid
+LOOSE = {"rates": 0.15, "forces": 0.3}  # what is left over their size, above which no link is rigid; forces have biases
+NOISY = 4.0  # likewise over their noise
 SHARP = (math.radians(5.0), 0.02)  # standard deviations, rad and m, above which a component counts as open
 DRIFT = 0.005  # s over the recording above which two clocks must not be taken for one
-
-
-class Imu(NamedTuple):
-    """One IMU's recording."""
-
-    time: NDArray[np.float64]
-    """(n,) s, increasing."""
-    gyroscope: NDArray[np.float64]
-    """(n, 3) rad/s."""
-    accelerometer: NDArray[np.float64]
-    """(n, 3) m/s2."""
 
 
 class Found(NamedTuple):
@@ -63,7 +50,7 @@ def pair(a: Imu, p: Imu, *, offset: float = 0.0) -> tuple[NDArray[np.float64], P
 
     Returns:
         Times (T,) and measurements with a leading axis of T: A's samples within P's recording, those within a gap of
-        P's invalid.
+        P's or at a sensor's limit invalid.
 
     Raises:
         InputError: the recordings do not overlap, or stamps are wrong.
@@ -79,26 +66,16 @@ def pair(a: Imu, p: Imu, *, offset: float = 0.0) -> tuple[NDArray[np.float64], P
         )
     time = np.asarray(a.time, np.float64)[rows]
     value, there = brought(p._replace(time=stamps), time)
-    here = np.ones(len(rows), bool)
+    here = ~at_limit(a)[rows]
     dt = np.diff(time, prepend=time[0])
-    own: Any = [_reading(np.asarray(x, np.float64)[rows], here) for x in (a.gyroscope, a.accelerometer)]
-    other: Any = [_reading(value[:, s], there) for s in (slice(0, 3), slice(3, 6))]
+    own = [_reading(np.asarray(x, np.float64)[rows], here[:, k]) for k, x in enumerate((a.gyroscope, a.accelerometer))]
+    other = [_reading(value[:, s], there[:, k]) for k, s in enumerate((slice(0, 3), slice(3, 6)))]
     (rates, forces), (others, felt) = own, other
     return time, Pair(rates, forces, others, felt, dt)
 
 
 def _reading(value: Any, valid: Any) -> Reading:
     return Reading(value, valid)
-
-
-def brought(imu: Imu, time: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return an IMU's rates and forces (T, 6) at given times, and whether they are there rather than in a gap (T,)."""
-    half_width, degree = ALIGNING
-    values = np.hstack([imu.gyroscope, imu.accelerometer])
-    fitted = sg.smooth(imu.time, values, query=time, half_width=half_width, degree=degree)
-    right = np.clip(np.searchsorted(imu.time, time), 1, len(imu.time) - 1)
-    near = imu.time[right] - imu.time[right - 1] <= longest(imu.time)
-    return np.asarray(fitted.value, np.float64), np.asarray(fitted.valid) & near
 
 
 def estimate(
@@ -121,13 +98,8 @@ def estimate(
         InputError: too few samples, saturated sensors, clocks that drift, IMUs that are not on one rigid link, or too
             little rotation; which sensor, axis or component is named.
     """
-    notes = [note for name, imu in zip(names, (a, p), strict=True) for note in _clipped(name, imu)]
-    offset = _clocks(a, p, names) if align_clocks else None
-    late = offset.seconds if offset and abs(offset.seconds) > 5 * offset.deviation else 0.0
-    if late:
-        notes.append(f"{names[1]}'s clock shows {1e3 * late:+.2f} ms against {names[0]}'s: taken off")
+    offset, late, notes = checked(a, p, names, align_clocks=align_clocks)
     time, measurements = pair(a, p, offset=late)
-    measurements = without_clipped(measurements)
     choice = onsite_batch.choose(measurements, prior)
     found = choice.estimate
     if offset:
@@ -135,13 +107,38 @@ def estimate(
         error = math.hypot(offset.deviation, offset.seconds - late)
         late_too = found.covariance + late_by(p, late, error, time, measurements, choice, prior)
         found = found._replace(covariance=late_too)
-    loose = not_rigid(measurements, found)
-    if loose:
-        raise InputError(f"{names[0]} and {names[1]} are not on one rigid link: {loose}")
+    one, other = (np.asarray(x.value, np.float64) for x in (measurements.gyroscope_a, measurements.gyroscope_p))
+    refuse_loose(names, "rates", one, other, float(found.rate_residual))
     why = explain(np.asarray(found.covariance, np.float64))
     if why:
         raise InputError(f"the pose of {names[1]} in {names[0]} is not determined: {why}")
-    return Found(found, int(choice.half_width), offset, time, measurements, tuple(notes))
+    return Found(found, int(choice.half_width), offset, time, measurements, notes)
+
+
+def checked(
+    a: Imu, p: Imu, names: tuple[str, str], *, align_clocks: bool = True
+) -> tuple[clock.Offset | None, float, tuple[str, ...]]:
+    """Check two recordings for saturated sensors and for clocks that do not agree.
+
+    Args:
+        a: one IMU.
+        p: the other on its link.
+        names: of the two, for messages.
+        align_clocks: whether to look for an offset of the clocks.
+
+    Returns:
+        The offset, None where it was not looked for or the motion does not tell; what of it is certain, s, to be taken
+        off P's stamps; and what was found, a sentence each.
+
+    Raises:
+        InputError: a sensor is saturated too often, or the clocks drift.
+    """
+    notes = [note for name, imu in zip(names, (a, p), strict=True) for note in _clipped(name, imu)]
+    offset = _clocks(a, p, names) if align_clocks else None
+    late = offset.seconds if offset and abs(offset.seconds) > 5 * offset.deviation else 0.0
+    if late:
+        notes.append(f"{names[1]}'s clock shows {1e3 * late:+.2f} ms against {names[0]}'s: taken off")
+    return offset, late, tuple(notes)
 
 
 def late_by(
@@ -163,7 +160,7 @@ def late_by(
         The square of the shift that one standard deviation causes.
     """
     value, there = brought(p._replace(time=np.asarray(p.time, np.float64) - offset - error), time)
-    there = there & np.asarray(measurements.gyroscope_p.valid) & np.asarray(measurements.accelerometer_p.valid)
+    there = there.all(axis=1) & np.asarray(measurements.gyroscope_p.valid & measurements.accelerometer_p.valid)
     rates, forces = _reading(value[:, :3], there), _reading(value[:, 3:], there)
     every = onsite_batch.choose(measurements._replace(gyroscope_p=rates, accelerometer_p=forces), prior).all
     formal = np.asarray(choice.all.formal)
@@ -192,8 +189,8 @@ def _clocks(a: Imu, p: Imu, names: tuple[str, str]) -> clock.Offset | None:
 
 def _clipped(name: str, imu: Imu) -> list[str]:
     notes = []
-    for kind, value in (("gyroscope", imu.gyroscope), ("accelerometer", imu.accelerometer)):
-        share = float(np.mean(clipped(value)))
+    shares = np.mean(at_limit(imu), axis=0)
+    for kind, value, share in zip(("gyroscope", "accelerometer"), imu[1:3], shares, strict=True):
         if share > MOST_CLIPPED:
             raise InputError(
                 f"{name}/{kind}: saturated in {100 * share:.0f} % of the samples, at {np.abs(value).max():.4g}; "
@@ -214,30 +211,35 @@ def noise(values: NDArray[np.float64]) -> float:
     return float(min(np.sqrt(np.mean(np.diff(values, n, axis=0) ** 2) / math.comb(2 * n, n)) for n in orders))
 
 
-def not_rigid(measurements: Pair, found: onsite_batch.Estimate) -> str:
-    """Say why two IMUs cannot be on one rigid link; nothing where they may.
+def refuse_loose(
+    names: tuple[str, str], what: Literal["rates", "forces"], a: NDArray[np.float64], p: NDArray[np.float64],
+    left: float,
+) -> None:  # fmt: skip
+    """Refuse two IMUs that cannot be on one rigid link.
 
-    On one link the rates agree once turned. What is left of their difference is compared with the sensors' noise, and
-    with the motion: scale errors of sensors that nobody calibrated leave a few per cent.
+    On one link the rates agree once turned, and the forces once brought to one place as well. What is left of their
+    difference is compared with the sensors' noise, and with the motion: scale errors of sensors that nobody calibrated
+    leave a few per cent.
 
     Args:
-        measurements: the samples.
-        found: the estimate from them.
+        names: of the two, for messages.
+        what: is compared.
+        a: (n, 3) rad/s or m/s2, of one.
+        p: (m, 3), of the other.
+        left: rad/s or m/s2, standard deviation about an axis of what is left of their difference.
 
-    Returns:
-        A sentence, or nothing.
+    Raises:
+        InputError: it is too much.
     """
-    a, p = (np.asarray(getattr(measurements, f"gyroscope_{s}").value, np.float64) for s in "ap")
-    left = float(found.rate_residual)
-    size = float(np.sqrt(np.mean((a - a.mean(axis=0)) ** 2)))
-    level = math.hypot(noise(a), noise(p))
-    if left > LOOSE[0] * size and left > LOOSE[1] * level:
-        return (
-            f"their rates differ by {left:.3g} rad/s rms about an axis once turned, "
-            f"{left / level:.0f} times their noise and {100 * left / size:.0f} % of the motion; expected at most "
-            f"{LOOSE[1]:g} times or {100 * LOOSE[0]:.0f} %"
+    rest = a.mean(axis=0) if what == "rates" else 0.0  # errors of scale are of gravity, too
+    size, level = float(np.sqrt(np.mean((a - rest) ** 2))), math.hypot(noise(a), noise(p))
+    if left > LOOSE[what] * size and left > NOISY * level:
+        unit, wrong = ("rad/s", "") if what == "rates" else ("m/s2", ", or a sensor's axis points the wrong way")
+        raise InputError(
+            f"{names[0]} and {names[1]} are not on one rigid link{wrong}: their {what} differ by {left:.3g} {unit} rms "
+            f"about an axis once turned, {left / level:.0f} times their noise and {100 * left / size:.0f} % of "
+            f"their size; expected at most {NOISY:g} times or {100 * LOOSE[what]:.0f} %"
         )
-    return ""
 
 
 def explain(covariance: NDArray[np.float64]) -> str:
@@ -277,12 +279,14 @@ __all__ = [
     "Found",
     "Imu",
     "brought",
+    "checked",
     "clipped",
     "estimate",
     "explain",
     "late_by",
     "noise",
-    "not_rigid",
     "pair",
+    "refuse_loose",
+    "resampled",
     "rotation_error",
 ]

@@ -147,3 +147,21 @@ def test_clocks():
         clock.offset(ta, wa, tp, np.where(np.arange(1500)[:, None] == 9, np.nan, wp))
     with pytest.raises(InputError, match=r"time_a, rate_a: got \(0,\), \(1500, 3\), expected"):
         clock.offset([], wa, tp, wp)
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_clocks_are_not_compared_where_a_recording_has_a_gap(side):
+    random = np.random.default_rng(6)
+    time = np.arange(1500) / 100
+    rate = motion(random, time)
+    kept = (time < 5) | (time > 8)
+    stamps, rates = ([x, x] for x in (time, rate))
+    stamps[side], rates[side] = time[kept], rate[kept]
+    whole = (r + 0.02 * random.normal(size=r.shape) for r in rates)
+    found = clock.offset(stamps[0], next(whole), stamps[1] + 0.05, next(whole))
+    assert abs(found.seconds - 0.05) < 5 * found.deviation
+    assert found.deviation < 1e-3
+    assert found.residual < 0.03
+    sparse = np.sort(random.uniform(0, 15, 4)) + np.arange(400)[:, None] / 1000
+    with pytest.raises(InputError, match=r"overlap by \d.\d s outside of their gaps, expected more than 2 s"):
+        clock.offset(time, rate, np.unique(sparse), np.zeros((len(np.unique(sparse)), 3)))

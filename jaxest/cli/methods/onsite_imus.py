@@ -5,17 +5,22 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from jaxest.io import SensorLog
-from jaxest.io.log import refuse_nan, stream, where
-from jaxest.types import InputError
+from jaxest.io.log import finite_rows, refuse_nan, stream, where
+from jaxest.stamps import GAP, around, longest
+from jaxest.types import InputError, unknown_name
 
 KINDS = ("gyroscope", "accelerometer")
 AXES = ("gyroscope_axes", "accelerometer_axes")
+FEWEST = 50  # samples of an IMU
 
 
 def recording(log: SensorLog, name: str, nan: str, known: Mapping[str, Any]) -> Any:
     """Return one IMU's recording, calibrated; the accelerometer at the gyroscope's stamps, where it has others.
+
+    What lies in a gap of either is left out; which readings stand at a limit is told from those before calibration.
 
     Args:
         log: the log, in SI units.
@@ -27,38 +32,76 @@ def recording(log: SensorLog, name: str, nan: str, known: Mapping[str, Any]) -> 
         An `onsite_recording.Imu`.
 
     Raises:
-        InputError: a stream is missing or too short, or holds NaN that the config does not allow.
+        InputError: a stream is missing or too short, or holds NaN that the config does not allow; or the two have no
+            time in common, or the accelerometer is much slower than the gyroscope.
     """
     from jaxest.calibration import imu as calibrated
-    from jaxest.io import interpolate
-    from jaxest.systems.onsite_recording import Imu
+    from jaxest.systems.onsite_recording import Imu, clipped, resampled
 
     gyro, force = (stream(log, f"{name}/{kind}") for kind in KINDS)
     for item, kind in ((gyro, KINDS[0]), (force, KINDS[1])):
         if nan == "error":
             refuse_nan(item, f"{where(log)}stream '{name}/{kind}'", 'nan = "missing" in a config')
-    time, rates = gyro.time, np.asarray(gyro.value, np.float64)
+    time, rates, forces = gyro.time, np.asarray(gyro.value, np.float64), np.asarray(force.value, np.float64)
+    flat = [clipped(rates), clipped(forces)]
     if not np.array_equal(time, force.time):
-        inside = (time >= force.time[0]) & (time <= force.time[-1])
-        time, rates = time[inside], rates[inside]
-        found = interpolate(log, [f"{name}/{KINDS[1]}"], time, nan="invalid").readings[f"{name}/{KINDS[1]}"]
-        forces = np.where(np.asarray(found.valid)[:, None], np.asarray(found.value, np.float64), np.nan)
-    else:
-        forces = np.asarray(force.value, np.float64)
-    kept = np.isfinite(rates).all(axis=1) & np.isfinite(forces).all(axis=1)
+        there = finite_rows(forces)
+        stamps, forces = force.time[there], forces[there]
+        _refuse_apart(log, name, time, stamps)
+        flat[1] = flat[1][there][around(stamps, time)].any(axis=1)
+        forces, there = resampled(stamps, forces, time)
+        forces = np.where(there[:, None], forces, np.nan)
+    kept = finite_rows(rates) & finite_rows(forces)
     time, rates, forces = time[kept], rates[kept], forces[kept]
-    if len(time) < 50:
-        raise InputError(f"{where(log)}{name}: {len(time)} samples, expected at least 50")
+    if len(time) < FEWEST:
+        raise InputError(f"{where(log)}{name}: {len(time)} samples, expected at least {FEWEST}")
     if name in known:
         rates, forces = calibrated.apply(known[name], rates, forces)
-    return Imu(time, rates, forces)
+    return Imu(time, rates, forces, np.column_stack(flat)[kept])
 
 
-def calibrations(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the config's file of calibrations says of each IMU; empty where there is none."""
+def _refuse_apart(log: SensorLog, name: str, gyro: NDArray[np.float64], force: NDArray[np.float64]) -> None:
+    """Refuse stamps of a gyroscope (n,) and an accelerometer (m,) that cannot be brought together."""
+    one, other = (f"{name}/{kind}" for kind in KINDS)
+    if len(force) < FEWEST:
+        raise InputError(f"{where(log)}{other}: {len(force)} samples, expected at least {FEWEST}")
+    if gyro[0] > force[-1] or force[0] > gyro[-1]:
+        raise InputError(
+            f"{where(log)}{one} and {other} do not overlap: one from {gyro[0]:.3f} to {gyro[-1]:.3f} s, the other from "
+            f"{force[0]:.3f} to {force[-1]:.3f} s"
+        )
+    if longest(force) > GAP * longest(gyro):
+        rates = [GAP / longest(time) for time in (force, gyro)]
+        raise InputError(
+            f"{where(log)}{other}: {rates[0]:.4g} Hz beside {rates[1]:.4g} Hz of {one}, expected at least "
+            f"{rates[1] / GAP:.4g} Hz: between its samples the motion is not known"
+        )
+
+
+def calibrations(settings: Mapping[str, Any], names: Sequence[str]) -> tuple[dict[str, Any], list[str]]:
+    """Return what the config's file of calibrations says of each IMU, and which IMUs it is of.
+
+    Args:
+        settings: the config's table `[onsite]`.
+        names: of the IMUs that are used.
+
+    Returns:
+        Calibrations by name, none where there is no file; and notes.
+
+    Raises:
+        InputError: the file knows none of the IMUs.
+    """
     from jaxest.calibration import imu as calibrated
 
-    return calibrated.load(settings["calibration"]) if "calibration" in settings else {}
+    if "calibration" not in settings:
+        return {}, []
+    file = settings["calibration"]
+    known = calibrated.load(file)
+    there, missing = ([n for n in names if (n in known) is which] for which in (True, False))
+    if not there:
+        raise unknown_name(f"{file}: calibration of", names[0], known)
+    without = f"; not of {', '.join(missing)}, taken as they come" if missing else ""
+    return known, [f"{file}: calibration of {', '.join(there)}{without}"]
 
 
 def axes_off(

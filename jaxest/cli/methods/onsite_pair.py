@@ -69,7 +69,8 @@ def recorded(log: SensorLog, settings: Mapping[str, Any], nan: str) -> tuple[tup
     """
     from jaxest.systems import onsite_batch, onsite_recording
 
-    names, known = _names(log, settings), calibrations(settings)
+    names = _names(log, settings)
+    known, notes = calibrations(settings, names)
     a, p = (recording(log, name, nan, known) for name in names)
     usual = onsite_batch.Prior()
     if all(name in known for name in names):
@@ -77,7 +78,8 @@ def recorded(log: SensorLog, settings: Mapping[str, Any], nan: str) -> tuple[tup
     prior = onsite_batch.Prior(*(_positive(settings, key, getattr(usual, key)) for key in usual._fields[:2]),
                                *axes_off(settings, names, known, _mean))  # fmt: skip
     align = settings.get("clocks", True)
-    return names, prior, onsite_recording.estimate(a, p, prior=prior, names=names, align_clocks=align)
+    found = onsite_recording.estimate(a, p, prior=prior, names=names, align_clocks=align)
+    return names, prior, found._replace(notes=(*notes, *found.notes))
 
 
 def _names(log: SensorLog, settings: Mapping[str, Any]) -> tuple[str, str]:

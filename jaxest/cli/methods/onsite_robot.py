@@ -37,21 +37,28 @@ def estimate(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
     from jaxest.filters import run
     from jaxest.kinematics import to_mjcf, to_urdf
     from jaxest.systems import onsite_chain
+    from jaxest.systems.onsite_recording import refuse_loose
 
-    described, known = onsite_config.modules(settings), calibrations(settings)
+    described = onsite_config.modules(settings)
+    names = [name for ends in described.imus for name in ends]
+    known, notes = calibrations(settings, names)
     links: Any = [tuple(recording(log, name, nan, known) for name in ends) for ends in described.imus]
-    bias, notes = _biases(described.imus, links)
+    links, said = _agreed(described.imus, links)
+    bias, moving = _biases(described.imus, links)
     time, samples = onsite_chain.samples(links)
     step = float(np.median(np.diff(time)))
     system = onsite_chain.build(described.assembly, half_width=max(2, round(0.08 / step)))
     limits = {"position_limit": float(settings.get("position_limit", 0.005)),
               "rotation_limit": math.radians(float(settings.get("rotation_limit_deg", 0.1)))}  # fmt: skip
     params = system.default_params._replace(bias=bias, **limits)
-    axes = dict(zip(AXES, axes_off(settings, [n for ends in described.imus for n in ends], known, max), strict=True))
-    params = params._replace(pair=params.pair._replace(gyroscope_bias=0.3 if notes else 0.003, **axes))
+    axes = dict(zip(AXES, axes_off(settings, names, known, max), strict=True))
+    params = params._replace(pair=params.pair._replace(gyroscope_bias=0.3 if moving else 0.003, **axes))
     params, samples = single((params, samples))
     info = jax.tree.map(np.asarray, run(system.step, params, system.init(params), samples)[1])
     final = jax.tree.map(lambda x: x[-1], info)
+    for ends, (a, p), left in zip(described.imus, links, final.imus.residual, strict=True):
+        # Behind few joints rates lie in a plane, and those of a wrong sign look turned: the forces tell.
+        refuse_loose(ends, "forces", a.accelerometer, p.accelerometer, float(left))
     robot = onsite_chain.rebuild(described.assembly, final)
     modules = described.assembly.modules
     joints = [(modules[k + 1].name, modules[k].name) for k in described.assembly.unknown]
@@ -65,7 +72,22 @@ def estimate(log: SensorLog, settings: Mapping[str, Any], nan: str) -> Outcome:
         picture.draw(path, time, curves, {}, None, title=title)
 
     texts = dict(zip(FILES, (to_mjcf(robot), to_urdf(robot)), strict=True))
-    return Outcome(SensorLog(streams, log.source), rows, notes, refused, draw, texts)
+    return Outcome(SensorLog(streams, log.source), rows, notes + said + moving, refused, draw, texts)
+
+
+def _agreed(names: Sequence[tuple[str, str]], links: Any) -> tuple[Any, list[str]]:
+    """Links whose IMUs agree, each on its first IMU's clock, and notes; others are refused."""
+    from jaxest.systems.onsite_recording import checked, refuse_loose
+
+    found: list[Any] = []
+    notes: list[str] = []
+    for ends, (a, p) in zip(names, links, strict=True):
+        offset, late, said = checked(a, p, ends)
+        if offset:
+            refuse_loose(ends, "rates", a.gyroscope, p.gyroscope, offset.residual)
+        found.append((a, p._replace(time=p.time - late)))
+        notes += said
+    return found, notes
 
 
 def _biases(names: Sequence[tuple[str, str]], links: Any) -> tuple[NDArray[np.float64], list[str]]:
@@ -76,7 +98,7 @@ def _biases(names: Sequence[tuple[str, str]], links: Any) -> tuple[NDArray[np.fl
     for k, ends in enumerate(names):
         for e, name in enumerate(ends):
             try:
-                bias[k, e] = imu_static.calibrate(*links[k][e]).gyroscope_bias
+                bias[k, e] = imu_static.calibrate(*links[k][e][:3]).gyroscope_bias
             except InputError:
                 notes.append(f"{name}: no rest in the recording, its gyro's bias is estimated along")
     return bias, notes

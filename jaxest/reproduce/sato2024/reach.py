@@ -136,7 +136,7 @@ def measured(sticks: manipulator.Sticks, seed: int, seconds: float) -> tuple[NDA
         )
         for k in range(len(sticks.links))
     ]
-    rests = [[imu_static.calibrate(*one) for one in link] for link in links]
+    rests = [[imu_static.calibrate(*one[:3]) for one in link] for link in links]
     time, samples = onsite_chain.samples(links)  # type: ignore[arg-type]
     begun = time >= manipulator.REST
     count = int(begun.sum())
