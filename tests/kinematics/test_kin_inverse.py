@@ -16,7 +16,7 @@ from jaxest.types import NON_FINITE, NOT_CONVERGED, OK, InputError
 POSES = 1000
 ARMS = [
     ("ur5e.xml", "right_hand"),
-    ("baxter.xml", "left_hand"),
+    pytest.param("baxter.xml", "left_hand", marks=pytest.mark.slow),
     pytest.param("panda.xml", "right_hand", marks=pytest.mark.slow),
     pytest.param("iiwa.xml", "right_hand", marks=pytest.mark.slow),
     pytest.param("baxter.xml", "right_hand", marks=pytest.mark.slow),
