@@ -1,5 +1,6 @@
 """From a sample to the measurement of an estimator's step."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -32,9 +33,14 @@ def measurement_of(template: PyTree, sample: Sample, dt: float) -> PyTree:
         The measurement, NumPy arrays.
 
     Raises:
-        InputError: a stream is unknown (the closest name is given) or has another shape.
+        InputError: a stream is unknown (the closest name is given) or has another shape, or values have no names.
     """
     known = fields(template)
+    if not isinstance(sample.values, Mapping):
+        found = type(sample.values).__name__
+        raise InputError(
+            f"sample at {sample.time:.6f} s: values: got {found}, expected a value for each stream by name"
+        )
     for name, value in sample.values.items():
         if name not in known and value is not None:
             raise InputError(f"sample at {sample.time:.6f} s: {unknown_name('stream', name, known)}")

@@ -220,8 +220,13 @@ def test_what_is_no_sample_or_has_no_finite_stamp_is_refused():
     assert (outcome.steps, outcome.late, outcome.broken, outcome.time) == (3, 0, 7, 2)
     assert outcome.messages[0] == "sample with the stamp nan, expected a finite number of seconds"
     told = []
-    live.drive(added, None, jnp.float32(0), iter([(1.0, {}), {}]), template(), tell=told.append)
-    assert told == ["got tuple, expected a Sample", "got dict, expected a Sample"]
+    source = iter([(1.0, {}), {}, live.Sample(1.0, None)])
+    live.drive(added, None, jnp.float32(0), source, template(), tell=told.append)
+    assert told == [
+        "got tuple, expected a Sample",
+        "got dict, expected a Sample",
+        "sample at 1.000000 s: values: got NoneType, expected a value for each stream by name",
+    ]
 
 
 def test_after_a_long_silence_the_second_sample_is_believed():
