@@ -15,7 +15,7 @@ from jaxest.types import unknown_name
 
 METRIC, EXPONENT, FIRST = "time against ", "exponent of ", "first call, "
 SECONDS = 8.0
-"""After which a curve is not continued."""
+"""Of timed calls, after which a curve is not continued; what compiles and makes the data is not counted."""
 
 
 def rows(
@@ -35,7 +35,7 @@ def rows(
         small: two sizes of each, and only of what compiles quickly.
         only: what is to be counted, as in the rows; everything if empty.
         last: only so many of a curve's sizes, the largest; all if 0.
-        seconds: a curve ends where its next size would be reached later than that; it has two sizes at least.
+        seconds: a curve ends where the calls of its next size would take it beyond that; it has two sizes at least.
 
     Yields:
         Times of calls, first calls with their compiling, and exponents with the standard error of the fit: 1 is a time
@@ -55,13 +55,13 @@ def rows(
 
 
 def _one(curve: Curve, progress: Progress, most: int, seconds: float) -> Iterable[Row]:
-    begun = time.perf_counter()
+    spent = 0.0
     sizes: list[int] = []
     values: list[float] = []
     for size in curve.sizes:
         growth = size / sizes[-1] if sizes else 1.0
         expected = most * growth * values[-1] if values else 0.0
-        if len(sizes) > 1 and time.perf_counter() - begun + expected > seconds:
+        if len(sizes) > 1 and spent + expected > seconds:
             break
         progress(f"{size} {curve.item}")
         start = time.perf_counter()
@@ -70,7 +70,9 @@ def _one(curve: Curve, progress: Progress, most: int, seconds: float) -> Iterabl
         ready = time.perf_counter() - start
         other = curve.beside(size)
         candidates = [Candidate("ours", program.call), *([] if other is None else [Candidate(curve.peer, other)])]
-        found = race(candidates, repeats=2 if ready > seconds else most)
+        start = time.perf_counter()
+        found = race(candidates, repeats=most)
+        spent += time.perf_counter() - start
         ours, beside = found["ours"], found.get(curve.peer)
         sizes, values = [*sizes, size], [*values, ours.median]
         yield Row(METRIC + curve.item, f"{size}: {curve.what}", 1e6 * ours.median, "us", 1e6 * ours.spread,
@@ -79,18 +81,23 @@ def _one(curve: Curve, progress: Progress, most: int, seconds: float) -> Iterabl
         if len(sizes) == 1:
             yield Row(FIRST + curve.item, f"{size}, with its data, tracing and compiling", ready, "s")
     slope, error = exponent(sizes, values)
-    half = len(sizes) // 2
-    yield Row(EXPONENT + curve.item, f"from {sizes[half]} on", slope, "1", error, len(sizes) - half)
+    first = _first(sizes)
+    yield Row(EXPONENT + curve.item, f"from {sizes[first]} on", slope, "1", error, len(sizes) - first)
 
 
 def exponent(sizes: Sequence[int], values: Sequence[float]) -> tuple[float, float | None]:
     """Return the slope of log time by log size over the larger half, and its standard error where it has one."""
-    half = len(sizes) // 2 if len(sizes) > 2 else 0
-    x, y = np.log(np.asarray(sizes[half:], float)), np.log(np.asarray(values[half:], float))
+    first = _first(sizes)
+    x, y = np.log(np.asarray(sizes[first:], float)), np.log(np.asarray(values[first:], float))
     x = x - x.mean()
     slope = float(x @ y / (x @ x))
     rest = y - y.mean() - slope * x
     return slope, math.sqrt(rest @ rest / (len(x) - 2) / (x @ x)) if len(x) > 2 else None
+
+
+def _first(sizes: Sequence[int]) -> int:
+    """Place of the first size that is fitted."""
+    return len(sizes) // 2 if len(sizes) > 2 else 0
 
 
 def draw(path: Path, found: Iterable[Row]) -> None:

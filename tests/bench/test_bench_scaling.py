@@ -37,6 +37,13 @@ def test_a_curve_ends_in_time_and_an_unknown_one_is_refused(monkeypatch):
         list(scaling.rows(peers=False, progress=lambda message: None, only=["sleep"]))
 
 
+def test_a_fit_says_what_it_is_of(monkeypatch):
+    curve = scaling_cases.Curve("sleeps", "", [1, 4], lambda size: scaling_cases.Program(lambda: time.sleep(1e-3), ()))
+    monkeypatch.setattr(scaling, "curves", lambda small, peers: [curve])
+    *_, fit = scaling.rows(peers=False, progress=lambda message: None)
+    assert (fit.condition, fit.n, fit.spread) == ("from 1 on", 2, None)
+
+
 @pytest.mark.slow  # compiles ten programs
 def test_scaling(tmp_path):
     pytest.importorskip("scipy")
