@@ -61,7 +61,7 @@ CASES = {
 }  # fmt: skip
 
 
-SLOW = ("forward, rover", "forward_dynamics")
+SLOW = ("forward, rover", "forward, a site", "forward, two", "forward_dynamics", "matrix_second_moment")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in CASES])

@@ -66,6 +66,7 @@ def test_other_attitude_filters_find_the_orientation(axes):
         assert np.rad2deg(np.sqrt(np.mean(np.asarray(part) ** 2))) < 12, name
 
 
+@pytest.mark.slow
 def test_import():
     alone, over, whole, more = bench.rows("import", peers=False, small=True)
     assert alone.reference_name == whole.reference_name == "import jax"

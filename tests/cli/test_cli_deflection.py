@@ -120,6 +120,7 @@ def test_a_bent_arm_is_known_better_than_by_its_encoders(invoke, log, tmp_path):
     assert (tmp_path / "out" / "deflection.png").read_bytes()[:4] == b"\x89PNG"
 
 
+@pytest.mark.slow
 def test_quaternions_in_the_other_order_and_missing_rows_change_nothing_where_the_config_says_so(invoke, log):
     values = []
     for order in ("wxyz", "xyzw"):
@@ -254,6 +255,7 @@ def test_a_robot_of_two_arms_is_given_a_stream_for_each(invoke, tmp_path, left, 
     np.testing.assert_allclose(joints.value[-1], [0.1, 0.1, 1.1, 1.1], atol=0.15)
 
 
+@pytest.mark.slow
 def test_slides_and_balls_are_estimated_where_they_are_named(invoke, refused, tmp_path):
     """The crane stands still, bent; its first config, with the marker's stream, is enough."""
     (tmp_path / "crane.xml").write_text(CRANE)

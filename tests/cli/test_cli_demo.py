@@ -1,6 +1,7 @@
 import json
 
 import numpy as np
+import pytest
 
 from jaxest import kinematics, models
 from jaxest.cli import demo
@@ -24,6 +25,7 @@ def test_demo(invoke, tmp_path, monkeypatch):
     assert "--force" in again.stderr
 
 
+@pytest.mark.slow
 def test_bands_are_as_wide_as_they_should_and_nothing_is_worse_than_the_encoders():
     robot = kinematics.load(models.path("arm"))
     recorded = demo.simulate(robot, 20, 120.0)

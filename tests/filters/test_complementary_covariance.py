@@ -56,7 +56,7 @@ def test_the_transition_is_the_derivative_of_the_step(x64):
     np.testing.assert_allclose(covariance, expected, atol=5e-8)  # F is of order dt, what it neglects of dt^2
 
 
-@pytest.mark.parametrize("nine", [False, True])
+@pytest.mark.parametrize("nine", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_it_is_consistent_with_what_is_simulated(nine):
     """Mean NEES of attitude and bias over independent runs, within the chi-square interval (99.9 %).
 

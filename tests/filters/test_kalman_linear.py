@@ -81,6 +81,7 @@ def test_filter_is_the_loop(problem, gain, iterations, dtype):
 
 
 @pytest.mark.parametrize(("series", "iterations"), [(kalman.smooth_series, 3), (kalman.smooth_series_parallel, 1)])
+@pytest.mark.parametrize("dtype", [pytest.param("float32", marks=pytest.mark.slow), "float64"], indirect=True)
 def test_smoother_is_the_loop(problem, series, iterations, dtype):
     numbers, mean, cov, values, valid = problem
     means, covs = reference.rts_smoother(*numbers.values(), mean, cov, values, valid)

@@ -240,6 +240,7 @@ def test_guided_particles_are_hardly_wasted():
     assert np.median(np.asarray(ess)) >= 0.9 * count
 
 
+@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)], indirect=True)
 def test_summary_of_particles_is_mean_and_covariance(dtype):
     random = np.random.default_rng(0)
     space = product.of({"angle": circle, "turn": quaternion, "point": Euclidean((2,))})

@@ -220,7 +220,7 @@ def flat_start(key):
         ("mises", 5.0, False),
         ("mises", 5.0, True),
         ("wrapped", 2.0, False),
-        ("wrapped", 2.0, True),
+        pytest.param("wrapped", 2.0, True, marks=SLOW),
         pytest.param("mises", 0.7, False, marks=SLOW),
         pytest.param("mises", 0.7, True, marks=SLOW),
         pytest.param("wrapped", 0.4, False, marks=SLOW),

@@ -77,7 +77,7 @@ CASES = [
         name,
         dtype,
         marks=[pytest.mark.recorded] * (name in SHARED)
-        + [pytest.mark.slow] * (name in (*ARMS, "arm", "gripper", "bush") and dtype == "float32"),
+        + [pytest.mark.slow] * (name in (*ARMS[2:], "gripper") if dtype == "float64" else name != "panda.xml"),
     )
     for name in ["bush", *PACKAGED, *(n for n in SHARED if "hand" not in n)]
     for dtype in ("float64", "float32")

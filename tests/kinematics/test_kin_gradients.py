@@ -13,7 +13,7 @@ from jaxest import kinematics, models
 from jaxest.kinematics.load import compile_model
 from jaxest.types import InputError
 
-ROBOTS = ["arm", "rover", pytest.param("panda.xml", marks=pytest.mark.recorded)]
+ROBOTS = ["arm", "rover", pytest.param("panda.xml", marks=[pytest.mark.recorded, pytest.mark.slow])]
 
 MATTER = ("body_position", "body_quaternion", "body_mass", "body_com", "joint_axis", "joint_reference", "gravity")
 
@@ -121,6 +121,7 @@ def test_payload_adds_up_as_mujoco_does(x64):
     )  # the ball has a little
 
 
+@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)], indirect=True)
 def test_jit_vmap_and_eager_agree_and_trace_once(dtype):
     robot = kinematics.load(models.path("rover"))
     q = states(compile_model(models.path("rover")), 4).astype(dtype)
@@ -160,6 +161,7 @@ def test_large_and_small_angles_in_float32(angle):
     assert error < 3e-7 + np.finfo(np.float32).eps * angle  # the rounding of the angle itself
 
 
+@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)], indirect=True)
 def test_a_zero_quaternion_is_no_rotation_and_has_a_finite_gradient(dtype):
     robot = kinematics.load(models.path("rover"))
     q = jnp.zeros(robot.nq, dtype)

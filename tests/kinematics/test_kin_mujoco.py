@@ -9,10 +9,21 @@ from jaxest import kinematics
 from jaxest.kinematics.load import compile_model
 
 STATES = 1000
-NAMES = [*PACKAGED, *(pytest.param(name, marks=pytest.mark.recorded) for name in SHARED)]
+SINGLE = ("arm", "rover", "baxter.xml")
+"""What is among the quick tests also in float32."""
+CASES = [
+    pytest.param(
+        name,
+        dtype,
+        marks=[pytest.mark.recorded] * (name in SHARED)
+        + [pytest.mark.slow] * (dtype == "float32" and name not in SINGLE),
+    )
+    for name in (*PACKAGED, *SHARED)
+    for dtype in ("float32", "float64")
+]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "dtype"), CASES, indirect=["dtype"])
 def test_agrees_with_mujoco(name, dtype, request):
     src = source(name, request.getfixturevalue("shared") if name in SHARED else None)
     model = compile_model(src)

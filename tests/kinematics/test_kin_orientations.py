@@ -38,6 +38,7 @@ def test_rotations_are_those_of_the_kinematics(rover, x64):
     assert (Rotation.from_quat(np.asarray(relative[0]), scalar_first=True).inv() * wanted).magnitude() < 1e-7
 
 
+@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)], indirect=True)
 def test_every_kind_of_joint_is_found_from_its_links(rover, dtype):
     """Free root, ball, hinges and hinges coupled to them; slides and the root's place stay unknown and say so."""
     rover = jax.tree.map(lambda x: np.asarray(x, dtype), rover)

@@ -167,7 +167,7 @@ def theirs(a, b):
     return root, solved, log_det, solved, *triangles, r, values, (vectors * values[None]) @ vectors.T
 
 
-@pytest.mark.parametrize("n", [3, 18])
+@pytest.mark.parametrize("n", [3, pytest.param(18, marks=pytest.mark.slow)])
 def test_derivatives_are_those_of_jax(n, x64):
     a, b = (jnp.asarray(np.random.default_rng(n).normal(size=(COUNT, n, k))) for k in (n, 3))
     direction = (jnp.cos(a), jnp.sin(b))

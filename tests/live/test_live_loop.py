@@ -201,7 +201,7 @@ def test_a_wrong_stamp_does_not_make_all_later_samples_late(wrong):
     assert tuple(told) == outcome.messages
 
 
-@pytest.mark.parametrize("wrong", [1e9, -1e9])
+@pytest.mark.parametrize("wrong", [1e9, pytest.param(-1e9, marks=pytest.mark.slow)])
 def test_a_first_stamp_that_is_wrong_does_not_either(wrong):
     outcome = counted([wrong, 1, 2, 3, 2, 4])
     assert (outcome.steps, outcome.late, outcome.broken, outcome.time) == (4, 1, 1, 4)

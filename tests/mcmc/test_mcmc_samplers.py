@@ -50,7 +50,7 @@ def tuned(data):
     return Params(PARAMS[PENDULUM], given, tuning)
 
 
-SLOW = ("mh_sequential", "gibbs", "gibbs_adapted")
+SLOW = ("mh_sequential", "gibbs", "gibbs_sequential", "gibbs_adapted")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in KERNELS])

@@ -63,7 +63,9 @@ def test_whitening_undoes_drawing(which):
     np.testing.assert_allclose(twist.whiten(found, linear, one.unknown.theta, path), numbers, atol=1e-9)
 
 
-@pytest.mark.parametrize("look", [twist.backward, twist.next_only, twist.nothing])
+@pytest.mark.parametrize(
+    "look", [twist.backward, *(pytest.param(look, marks=pytest.mark.slow) for look in (twist.next_only, twist.nothing))]
+)
 def test_a_linear_models_evidence_is_estimated_without_bias(look):
     one, linear, whole = prepared(SPRING)
     exact = twist.log_evidence(whole, linear, one.unknown.theta)

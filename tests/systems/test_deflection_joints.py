@@ -43,7 +43,8 @@ def assert_total(found, exact):
     assert abs(centre - exact) < 4.5 * error + 1e-4
 
 
-@pytest.mark.parametrize("name", [pytest.param("bootstrap", marks=pytest.mark.slow), "guided"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bootstrap", "guided"])
 def test_a_slide_is_the_kalman_filter(name):
     """A slide with its encoder, sometimes missing, and a marker on its body."""
     propose, count = PROPOSALS[name]

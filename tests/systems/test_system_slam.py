@@ -54,6 +54,7 @@ def outcome(fixed, driven, scene):
     return driven(fixed.default_params, fixed.init(fixed.default_params), scene[0])
 
 
+@pytest.mark.slow
 def test_biases_of_hinges_and_a_slide_are_found(outcome, scene):
     """72 zones a link, noise of 1 %: a twentieth of a radian everywhere, also on the branch."""
     _, info = outcome
@@ -283,6 +284,7 @@ def test_a_root_that_begins_to_roll_is_followed_or_told(free, rate):
         assert voxels[first] == voxels[first - 1]
 
 
+@pytest.mark.slow
 def test_a_free_roots_covariance_holds_it():
     """Of the root's position where odometry ends, over 12 runs: a chi-square of 36 by 36, 1 +- 0.24."""
     system = build(free=True)

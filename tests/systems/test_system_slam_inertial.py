@@ -48,6 +48,7 @@ def test_readings_lead_back_along_the_motion(x64):
     assert worst[1] < 0.4 * worst[0]
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_drawn_errors(x64):
     """4000 draws of the start's errors and of the noise: each variance within 6 standard errors, sqrt(2 / 4000)."""
     params = slam_inertial.Params(gyroscope=0.02, accelerometer=0.1, gyroscope_walk=0.05, accelerometer_walk=0.2)

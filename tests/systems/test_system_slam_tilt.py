@@ -135,6 +135,7 @@ def small(scans, dtype):
     return (*(jnp.asarray(x, dtype) for x in fields), jnp.asarray(sensor), jnp.asarray(covariance, dtype), scans)
 
 
+@pytest.mark.parametrize("dtype", [pytest.param("float32", marks=pytest.mark.slow), "float64"], indirect=True)
 def test_turns_are_eliminated_and_found_again_as_a_dense_solve_does(dtype):
     tolerance = 2e-4 if dtype == np.float32 else 1e-10
     table, mount, weight, far, sensor, covariance, scans = small(2.0, dtype)

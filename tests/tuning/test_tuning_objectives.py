@@ -49,7 +49,7 @@ def test_likelihood_is_that_of_one_large_normal(objective, x64):
     np.testing.assert_allclose(-loss, gaussian_density(params, one), rtol=1e-5)
 
 
-@pytest.mark.parametrize("forward", [True, False])
+@pytest.mark.parametrize("forward", [True, pytest.param(False, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "objective",
     [tuning.likelihood(KALMAN), tuning.smoothed(MODEL, begin), tuning.consistency(KALMAN)],
