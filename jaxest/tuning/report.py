@@ -88,8 +88,9 @@ def curvature(
             break
         step = nearer
         found = _differences(problem, z, batch, keys, worth, step)
-    rounding = 2 * GRAIN * np.finfo(z.dtype).eps * abs(found.value) / _reach(np.asarray(z)) ** 2
-    return found._replace(covariance=_sandwich(found.hessian, found.covariance, rounding))
+    reach = _reach(np.asarray(z))
+    rounding = 2 * GRAIN * np.finfo(z.dtype).eps * abs(found.value) / reach**2
+    return found._replace(covariance=_sandwich(found.hessian, found.covariance, rounding, reach / STEP))
 
 
 def _differences(
@@ -150,25 +151,38 @@ def _gradients(problem: Problem, points: Array, batch: Recording, key: Array) ->
     return every(lambda z: per_recording(problem.objective, partial(one, z), batch, key))(points)
 
 
-def _sandwich(hessian: NDArray[Any], middle: NDArray[Any], rounding: NDArray[Any]) -> NDArray[Any]:
-    """Inverse Hessian on both sides; directions of no or negative curvature are unknown, all that they touch too.
+def _sandwich(hessian: NDArray[Any], middle: NDArray[Any], rounding: NDArray[Any], reach: NDArray[Any]) -> NDArray[Any]:
+    """Inverse Hessian on both sides, of the numbers that are left when those are taken out that have no curvature.
 
-    Free numbers have units of their own: each counts in the one in which its curvature is 1, or in which rounding would
-    be, (n,), where it has none that rounding could not make.
+    Free numbers have units of their own: each counts in the one in which its curvature is 1 or -1, or in which rounding
+    would be, (n,), where it has none that rounding could not make. One that is taken out may be anywhere within its
+    `reach` (n,): what that moves by more than their own standard error is unknown with it, and what it moves by less
+    is less sure.
     """
     if not np.isfinite(hessian).all():
         return np.full_like(hessian, np.nan)
     curved = np.diag(hessian)
     seen = curved > rounding
-    unit = np.sqrt(np.where(seen, curved, np.where(rounding > 0, rounding, 1.0)))
+    unit = np.sqrt(np.maximum(np.abs(curved), np.where(rounding > 0, rounding, np.where(curved == 0, 1.0, 0.0))))
     scaled = hessian / np.outer(unit, unit)
     scaled[~seen, ~seen] = np.minimum(scaled[~seen, ~seen], 0.0)
-    values, vectors = np.linalg.eigh(scaled)
-    flat = values <= FLAT
-    inverse = np.where(flat, 0.0, 1 / np.where(flat, 1.0, values))
-    back = (vectors * inverse) @ vectors.T / np.outer(unit, unit)
-    found = back @ middle @ back
-    unknown = (vectors[:, flat] ** 2).sum(axis=1) > 1e-3
+    rest = np.arange(len(unit))
+    while len(rest):
+        values, vectors = np.linalg.eigh(scaled[np.ix_(rest, rest)])
+        if values[0] > FLAT:
+            break
+        rest = np.delete(rest, np.argmax(vectors[:, 0] ** 2))
+    out = np.setdiff1d(np.arange(len(unit)), rest)
+    found = np.zeros_like(hessian)
+    found[out, out] = np.inf
+    if not len(rest):
+        return found
+    inverse = (vectors / values) @ vectors.T / np.outer(unit[rest], unit[rest])
+    known = inverse @ middle[np.ix_(rest, rest)] @ inverse
+    shift = (inverse @ hessian[np.ix_(rest, out)]) * reach[out]
+    moved, own = (shift**2).sum(axis=1), np.diag(known)
+    found[np.ix_(rest, rest)] = known + shift @ shift.T
+    unknown = rest[moved > np.where(np.isnan(own), (1e-3 * reach[rest]) ** 2, own)]
     found[unknown, :] = found[:, unknown] = 0.0
     found[unknown, unknown] = np.inf
     return found

@@ -74,6 +74,24 @@ def normal(params, measurements):
     return -jnp.sum(z * z / 2 + jnp.log(params.sd))
 
 
+def tilted(params, measurements):
+    """A mean that a number which nothing is known of hardly moves: along that number the density even rises."""
+    far = jnp.log(params.sd)
+    return -jnp.sum((measurements.value - params.mean - 0.003 * far) ** 2 - 1e-4 * far**2) / 2
+
+
+def test_what_hardly_moves_with_an_unknown_is_known(dtype):
+    rows = numbers(np.tile(np.asarray([-1, 1], dtype), 500))
+    names = {"mean": tuning.transforms.real, "sd": tuning.transforms.positive}
+    problem = tuning.Problem(tuning.density(tilted), tuning.space(Normal(0.0, 1.0), names))
+    z = problem.space.pack(Normal(0.0, 1.0), dtype)
+    mean, sd = tuning.estimates(problem, z, tuning.curvature(problem, z, rows))
+    assert mean.identified
+    assert np.isinf(sd.sd)
+    # Where the other is, within a factor e, moves it by a tenth of its error.
+    assert mean.sd == pytest.approx(np.hypot(1 / np.sqrt(1000), 0.003), rel=0.02)
+
+
 def sine(params, measurements):
     """Of that argument, within which the values' spread does not matter."""
     return -jnp.sum((jnp.sin(0.3) - jnp.sin(100 * params.mean)) ** 2 + 0 * measurements.value) / 2
