@@ -13,7 +13,8 @@ from jaxest.bench import live
 def main(minutes: float) -> None:
     """Run and print."""
     for row in live.rows(peers=False, progress=lambda message: print(message, file=sys.stderr), seconds=60 * minutes):
-        print(f"{row.metric}: {row.value:.6g} {row.unit} (n = {row.n})")
+        beside = "" if row.reference is None else f", {row.reference:.6g} {row.unit} by {row.reference_name}"
+        print(f"{row.metric}: {row.value:.6g} {row.unit} (n = {row.n}){beside}")
 
 
 if __name__ == "__main__":
