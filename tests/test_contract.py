@@ -61,11 +61,11 @@ ROWS = [
     Row("orientation_6", partial(orientation.build, None, SIX)),
     Row("orientation_9", orientation.build, slow=True),
     Row("orientation_projection", partial(orientation.build, None, SIX, update=complementary.projection), slow=True),
-    Row("orientation_covariance", partial(orientation.build, covariance=True), {"shaking": 1.0}),
+    Row("orientation_covariance", partial(orientation.build, covariance=True), {"shaking": 1.0}, slow=True),
     Row("attitude_ekf", partial(orientation.build, filter=attitude.ekf)),
     Row("attitude_decoupled", partial(orientation.build, filter=attitude.decoupled), slow=True),
     # Its descent is a gradient of length 1: where the gradient is small, rounding turns it.
-    Row("attitude_madgwick", partial(orientation.build, filter=attitude.madgwick), factor=1024.0),
+    Row("attitude_madgwick", partial(orientation.build, filter=attitude.madgwick), factor=1024.0, slow=True),
     Row("pair", pairs),
     Row("posture", fused),
     Row("posture_pairs", paired, slow=True),
@@ -114,8 +114,8 @@ EAGERLY_SLOW = (
     "torque",
 )
 """Their step is hundreds of small programs without `jit`, which take long to compile."""
-STEEPLY_SLOW = ("kalman", "posture")
-"""Their gradient compiles for half a minute; others with the same filters are among the quick tests."""
+STEEPLY_SLOW = ("kalman", "onsite", "pair", "posture")
+"""Their gradient compiles for a quarter to half a minute; others with the same filters are among the quick tests."""
 STEPS = 12
 BATCH = 8
 # Compiles five times faster; what is compared with the live step is therefore also compiled differently.

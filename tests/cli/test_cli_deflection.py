@@ -312,6 +312,7 @@ def test_a_first_config_gives_each_sensor_a_table_and_a_likely_frame():
     assert table["wrist"]["imu"] == "wrist"
 
 
+@pytest.mark.slow
 def test_a_raw_imu_becomes_an_orientation(invoke, tmp_path):
     n, rate = 600, 100.0
     time = np.arange(n) / rate

@@ -147,6 +147,7 @@ def test_friction_loss_is_that_of_mujoco_while_joints_slide(x64):
     np.testing.assert_array_equal(still, np.zeros(3))
 
 
+@pytest.mark.slow
 def test_gradients_in_state_and_in_every_leaf(x64):
     src = bush(2)
     robot = kinematics.load(src)
@@ -226,7 +227,7 @@ def test_far_from_the_origin_no_digit_is_lost():
         np.testing.assert_array_equal(x, y)
 
 
-@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)], indirect=True)
+@pytest.mark.slow
 def test_batches_agree_and_gradients_stay_finite(dtype):
     robot = kinematics.load(models.chain(5))
     q = np.random.default_rng(0).normal(size=(3, 5)).astype(dtype)

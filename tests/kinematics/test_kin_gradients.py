@@ -13,7 +13,11 @@ from jaxest import kinematics, models
 from jaxest.kinematics.load import compile_model
 from jaxest.types import InputError
 
-ROBOTS = ["arm", "rover", pytest.param("panda.xml", marks=[pytest.mark.recorded, pytest.mark.slow])]
+ROBOTS = [
+    "arm",
+    pytest.param("rover", marks=pytest.mark.slow),
+    pytest.param("panda.xml", marks=[pytest.mark.recorded, pytest.mark.slow]),
+]
 
 MATTER = ("body_position", "body_quaternion", "body_mass", "body_com", "joint_axis", "joint_reference", "gravity")
 

@@ -109,6 +109,7 @@ def test_filters_of_a_nonlinear_model_agree():
         )
 
 
+@pytest.mark.slow
 def test_the_path_found_is_that_of_the_shared_smoother():
     from jaxest.filters import kalman
     from jaxest.manifolds import Euclidean

@@ -125,7 +125,8 @@ def ball_by_numpy():
     return seen.as_quat()[:, [3, 0, 1, 2]], lam, np.array(means), np.array(deviations), np.array(evidence)
 
 
-@pytest.mark.parametrize("name", [pytest.param("bootstrap", marks=pytest.mark.slow), "guided"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["bootstrap", "guided"])
 def test_a_ball_is_what_numpy_finds(name):
     propose, count = PROPOSALS[name]
     seen, lam, mean, deviation, evidence = ball_by_numpy()

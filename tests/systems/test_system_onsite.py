@@ -116,7 +116,8 @@ def test_clocks_that_never_share_a_step():
     assert 0.6 < np.median(ratio) < 1.6
 
 
-@pytest.mark.parametrize("stamps", ["common", pytest.param("own", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("stamps", ["common", "own"])
 def test_a_batch_has_the_numbers_of_one(x64, stamps):
     """Many pairs take another way than one: with stamps in common and of their own, lost samples, axes, forgetting."""
     runs, count = 9, 120
