@@ -34,7 +34,7 @@ class Curvature(NamedTuple):
     hessian: NDArray[np.float64]
     """(n, n) of the mean loss."""
     covariance: NDArray[np.float64]
-    """(n, n) of the point; infinite along directions without curvature, NaN where it is unknown."""
+    """(n, n) of the point; infinite for numbers without curvature and what they move, NaN where it is unknown."""
     spread: NDArray[np.float64]
     """(n, n) Monte-Carlo covariance of the mean gradient, 0 where nothing is drawn."""
 
@@ -163,7 +163,8 @@ def _sandwich(hessian: NDArray[Any], middle: NDArray[Any], rounding: NDArray[Any
         return np.full_like(hessian, np.nan)
     curved = np.diag(hessian)
     seen = curved > rounding
-    unit = np.sqrt(np.maximum(np.abs(curved), np.where(rounding > 0, rounding, np.where(curved == 0, 1.0, 0.0))))
+    size = np.maximum(np.abs(curved), rounding)
+    unit = np.sqrt(np.where(size > 0, size, 1.0))
     scaled = hessian / np.outer(unit, unit)
     scaled[~seen, ~seen] = np.minimum(scaled[~seen, ~seen], 0.0)
     rest = np.arange(len(unit))

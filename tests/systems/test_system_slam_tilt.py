@@ -198,7 +198,7 @@ def test_turns_are_found_beside_a_free_root(odometry):
     common = np.asarray(state.covariance, float)[first:, first:].reshape(4, 3, 4, 3)
     covariance = np.asarray(mounts.covariance, float) + np.stack([common[k, :, k] for k in range(4)])[:, None]
     squared = np.einsum("lsi,lsij,lsj->ls", wrong, np.linalg.inv(covariance), wrong) / 3
-    assert 0.4 < squared.mean() < 2.5  # six draws gave 1.0 to 2.2: deviations are claimed a fifth too small
+    assert 0.4 < squared.mean() < 2.5  # twelve draws gave 1.0 to 2.2: deviations are claimed a fifth too small
     assert np.sqrt(np.mean(wrong**2)) < 0.85 * np.sqrt(np.mean(drawn**2))
 
 
