@@ -1,5 +1,6 @@
 """How long steps took: a histogram of fixed size, so that a run of days needs no more memory than one of seconds."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -52,9 +53,14 @@ def empty() -> Latency:
 
 def counted(latency: Latency, seconds: float) -> Latency:
     """Return the histogram with one more duration; the counts are updated in place."""
-    at = min(max(int(np.log10(max(seconds, LOWEST) / LOWEST) * PER_DECADE), 0), len(latency.counts) - 1)
+    at = min(max(int(math.log10(max(seconds, LOWEST) / LOWEST) * PER_DECADE), 0), len(latency.counts) - 1)
     latency.counts[at] += 1
     return Latency(latency.counts, max(latency.longest, seconds), latency.total + seconds)
 
 
-__all__ = ["EDGES", "Latency", "counted", "empty"]
+def joined(one: Latency, two: Latency) -> Latency:
+    """Return the histogram of both runs together."""
+    return Latency(one.counts + two.counts, max(one.longest, two.longest), one.total + two.total)
+
+
+__all__ = ["EDGES", "Latency", "counted", "empty", "joined"]

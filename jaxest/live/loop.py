@@ -181,7 +181,7 @@ class _Tally:
 
     def look(self, info: Any) -> None:
         """Count a status other than 0."""
-        status = int(np.max(getattr(info, "status", OK)))
+        status = int(np.asarray(getattr(info, "status", OK)).max())  # np.max would run a program of JAX
         if status != OK:
             self.flagged += 1
             if self.flagged == 1:

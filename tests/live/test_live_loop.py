@@ -393,5 +393,8 @@ def test_histogram_against_numpy():
         assert exact <= found.quantile(share) <= exact * 1.05
     within = found.share_within(1e-3)
     assert np.mean(draws <= 0.95e-3) <= within <= np.mean(draws <= 1e-3)
+    both = latency.joined(found, latency.counted(latency.empty(), 2.0))
+    assert (both.number, both.longest) == (found.number + 1, max(found.longest, 2.0))
+    assert both.total == found.total + 2.0
     assert latency.empty().share_within(1.0) == 0
     assert np.isnan(latency.empty().quantile(0.5))
