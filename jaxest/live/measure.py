@@ -57,7 +57,7 @@ def _reading(like: Reading, value: Any, name: str, stamp: float) -> Reading:
     if value is None:
         return Reading(np.zeros(expected.shape, expected.dtype), np.zeros(valid.shape, bool))  # type: ignore[arg-type]
     try:
-        found = np.asarray(value, expected.dtype)
+        found = np.array(value, expected.dtype)  # a copy: a sender may use its array again
     except (ValueError, TypeError, OverflowError):
         found = None
     if found is None or found.shape != expected.shape:

@@ -381,6 +381,13 @@ def test_a_pipe_that_is_taken_for_a_file_is_named(tmp_path):
         next(live.from_file(tmp_path / "pipe"))
 
 
+def test_a_measurement_keeps_its_numbers_where_the_sender_uses_its_array_again():
+    sent = np.ones(3, np.float32)
+    measurement = live.measurement_of(template(), live.Sample(0.0, {"gyroscope": sent}), 0.0)
+    sent[:] = 7
+    np.testing.assert_array_equal(measurement.gyroscope.value, np.ones(3))
+
+
 def test_histogram_against_numpy():
     draws = np.random.default_rng(0).lognormal(np.log(2e-4), 1.0, 5000)
     found = latency.empty()
