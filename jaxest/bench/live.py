@@ -95,7 +95,7 @@ def measured(seconds: float) -> Iterable[Row]:
     plain, little = (control(share * step.quantile(0.5), min(seconds, LONGEST)) for share in (1, LITTLE))
     yield Row("steps within 1 ms", where, reached, "%", None, n, 100 * plain.share_within(DEADLINE),
               f"NumPy work of {plain.quantile(0.5) * 1e6:.0f} us at the median, at the same rate")  # fmt: skip
-    yield Row("a tenth of that work within 1 ms", f"{little.quantile(0.5) * 1e6:.0f} us at the median, at the same rate",
+    yield Row("a tenth of that work within 1 ms", f"{little.quantile(0.5) * 1e6:.0f} us at the median, at that rate",
               100 * little.share_within(DEADLINE), "%", n=little.number)  # fmt: skip
     for share in (0.5, 0.99, 0.999):
         yield Row(f"step, {100 * share:g} %", where, step.quantile(share) * 1e6, "us", n=n)
