@@ -8,6 +8,7 @@ Host side only. Not here: the estimators (`jaxest.systems`), and recorded logs, 
 faster way.
 """
 
+from jaxest.live.compiled import Program, program
 from jaxest.live.keeper import Checkpoint, resume
 from jaxest.live.latency import EDGES, Latency
 from jaxest.live.loop import Outcome, drive
@@ -20,6 +21,7 @@ __all__ = [
     "Checkpoint",
     "Latency",
     "Outcome",
+    "Program",
     "Sample",
     "drive",
     "from_file",
@@ -28,5 +30,6 @@ __all__ = [
     "from_udp",
     "measurement_of",
     "parse",
+    "program",
     "resume",
 ]

@@ -1,6 +1,7 @@
 """Checkpoints of a live run, written beside it so that no step waits for the disk."""
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -43,14 +44,20 @@ class Keeper:
     def __init__(self, path: Path | str | None, every: float) -> None:
         self._path, self._every = path, every
         self._newest: Checkpoint | None = None
+        self._state: Callable[[Any], PyTree] = lambda state: state
         self._closing = threading.Event()
         self._failure = ""
         self._thread = threading.Thread(target=self._write_now_and_then, name="jaxest-checkpoint", daemon=True)
         if path is not None:
             refuse_existing(path, overwrite=True)  # a folder that is not there is told now, not after hours
 
-    def start(self) -> None:
-        """Begin to write now and then."""
+    def start(self, state: Callable[[Any], PyTree]) -> None:
+        """Begin to write now and then.
+
+        Args:
+            state: makes the state of an estimator from what `offer` is given.
+        """
+        self._state = state
         if self._path is not None:
             self._thread.start()
 
@@ -59,9 +66,9 @@ class Keeper:
         """Why the newest checkpoint could not be written; empty where it could, or there was none yet."""
         return self._failure
 
-    def offer(self, state: Any, time: float) -> None:
+    def offer(self, carry: Any, time: float) -> None:
         """Take a state as the newest; costs nothing."""
-        self._newest = Checkpoint(state, time)
+        self._newest = Checkpoint(carry, time)
 
     def close(self) -> None:
         """Write the newest state and end the thread; `failure` says whether that went well."""
@@ -79,7 +86,7 @@ class Keeper:
         if newest is None or self._path is None:
             return
         try:
-            save_state(self._path, newest, overwrite=True)
+            save_state(self._path, newest._replace(state=self._state(newest.state)), overwrite=True)
             self._failure = ""
         except InputError as error:  # a full disk must not stop a robot
             self._failure = str(error)

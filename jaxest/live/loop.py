@@ -11,11 +11,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxest.live import latency as lat
+from jaxest.live.compiled import program
 from jaxest.live.keeper import Keeper
 from jaxest.live.measure import fields, measurement_of
 from jaxest.live.sources import Sample, Source
@@ -105,24 +104,18 @@ def drive(
         if not seconds > 0:
             raise ValueError(f"{name}: got {seconds}, expected seconds above 0")
     keeper = Keeper(save, save_every)
-    # Parameters are folded in: a call costs microseconds for every leaf that it is given.
-    params = jax.tree.map(jnp.asarray, params)
-    compiled = jax.jit(lambda state, measurement: step(params, state, measurement, key=key))
-    nothing = measurement_of(template, Sample(0.0, {}), 0.0)
-    after, _ = jax.eval_shape(compiled, state, nothing)
-    state = jax.tree.map(lambda x, like: jnp.asarray(x, like.dtype), state, after)  # not weakly typed: one program
-    jax.block_until_ready(compiled(state, nothing))
-    tally = _Tally(state, last, gap, tell)
-    keeper.start()
+    compiled = program(step, params, state, measurement_of(template, Sample(0.0, {}), 0.0), key=key)
+    tally = _Tally(compiled.start(state), last, gap, tell)
+    keeper.start(compiled.state)
     try:
         with _stoppable() as stopped, _undisturbed():
-            ended = _loop(compiled, source, template, tally, deadline, emit, keeper, stopped, limit)
+            ended = _loop(compiled.call, source, template, tally, deadline, emit, keeper, stopped, limit)
     finally:
         keeper.close()
     if keeper.failure:
         tally.say(f"no checkpoint: {keeper.failure}")
     return Outcome(
-        tally.state, tally.time, tally.steps, tally.missed, tally.late, tally.broken, tally.flagged,
+        compiled.state(tally.carry), tally.time, tally.steps, tally.missed, tally.late, tally.broken, tally.flagged,
         dict(tally.masked), tally.latency, tuple(tally.messages), ended,
     )  # fmt: skip
 
@@ -130,8 +123,8 @@ def drive(
 class _Tally:
     """What the loop counts; lives inside `drive` only."""
 
-    def __init__(self, state: PyTree, time: float | None, gap: float, tell: Callable[[str], None] | None) -> None:
-        self.state, self.time = state, time
+    def __init__(self, carry: Any, time: float | None, gap: float, tell: Callable[[str], None] | None) -> None:
+        self.carry, self.time = carry, time
         self.steps = self.missed = self.late = self.broken = self.flagged = 0
         self.masked: Counter[str] = Counter()
         self.latency = lat.empty()
@@ -181,7 +174,7 @@ class _Tally:
 
     def look(self, info: Any) -> None:
         """Count a status other than 0."""
-        status = int(np.asarray(getattr(info, "status", OK)).max())  # np.max would run a program of JAX
+        status = int(np.max(getattr(info, "status", OK)))
         if status != OK:
             self.flagged += 1
             if self.flagged == 1:
@@ -202,7 +195,7 @@ def _meaning(status: int) -> str:
 
 
 def _loop(
-    compiled: Any, source: Source, template: PyTree, tally: _Tally, deadline: float,
+    call: Any, source: Source, template: PyTree, tally: _Tally, deadline: float,
     emit: Any, keeper: Keeper, stopped: threading.Event, limit: int | None,
 ) -> str:  # fmt: skip
     names = fields(template)
@@ -222,14 +215,14 @@ def _loop(
         except InputError as error:
             tally.refuse(str(error))
             continue
-        tally.state, info = jax.block_until_ready(compiled(tally.state, measurement))
+        tally.carry, info = call(tally.carry, measurement)
         took = time.perf_counter() - begun
         tally.time, tally.steps = item.time, tally.steps + 1
         tally.latency = lat.counted(tally.latency, took)
         tally.missed += took > deadline
         tally.masked.update(name for name in names if not getattr(measurement, name).valid.all())
         tally.look(info)
-        keeper.offer(tally.state, item.time)
+        keeper.offer(tally.carry, item.time)
         if emit:
             emit(item.time, info)
         if limit is not None and tally.steps >= limit:
