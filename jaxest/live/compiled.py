@@ -28,7 +28,7 @@ LARGEST = 2**16  # entries of an array; from about there several threads are qui
 PRODUCT = 2**16  # multiplications in a matrix product; plain loops are slower than the library's from there
 NO_LIBRARY = {"xla_cpu_experimental_ynn_fusion_type": ""}
 ONE_KERNEL = ({"xla_cpu_use_fusion_emitters": False, **NO_LIBRARY}, NO_LIBRARY)
-"""Options by which XLA makes no fusions that a kernel cannot contain: with JAX 0.10; with 0.11, but for some programs."""
+"""Options by which XLA makes no fusions that a kernel cannot contain: with JAX 0.10; with 0.11, for most programs."""
 ABLE = frozenset(
     """abs add and atan2 bitcast_convert broadcast_in_dim case cbrt ceil clamp compare concatenate constant convert
     cosine count_leading_zeros divide dot_general dynamic_slice dynamic_update_slice erf erf_inv erfc exponential
