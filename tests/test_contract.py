@@ -66,7 +66,7 @@ ROWS = [
     Row("attitude_decoupled", partial(orientation.build, filter=attitude.decoupled), slow=True),
     # Its descent is a gradient of length 1: where the gradient is small, rounding turns it.
     Row("attitude_madgwick", partial(orientation.build, filter=attitude.madgwick), factor=1024.0, slow=True),
-    Row("pair", pairs),
+    Row("pair", pairs, slow=True),  # posture is made of it
     Row("posture", fused),
     Row("posture_pairs", paired, slow=True),
     Row("kalman", kalman_body),
@@ -105,7 +105,6 @@ EAGERLY_SLOW = (
     "deflection_joints",
     "kalman",
     "onsite",
-    "pair",
     "particle_bootstrap",
     "particle_guided",
     "posture",
@@ -114,7 +113,7 @@ EAGERLY_SLOW = (
     "torque",
 )
 """Their step is hundreds of small programs without `jit`, which take long to compile."""
-STEEPLY_SLOW = ("kalman", "onsite", "pair", "posture")
+STEEPLY_SLOW = ("attitude_ekf", "kalman", "onsite", "posture")
 """Their gradient compiles for a quarter to half a minute; others with the same filters are among the quick tests."""
 STEPS = 12
 BATCH = 8

@@ -108,7 +108,8 @@ def _in_words(
     def call(words: Array, measurement: PyTree) -> tuple[Array, PyTree]:
         measurements.write(measurement, heard)
         words = compiled(words, heard)
-        return words, infos.read(np.asarray(words)[states.words :])  # waits for it
+        found = np.asarray(words)[states.words :].copy()  # waits for it; whoever keeps an info keeps no state with it
+        return words, infos.read(found)
 
     def unpacked(words: Array) -> PyTree:
         return jax.tree.map(jnp.asarray, states.read(np.asarray(words)[: states.words]))

@@ -84,7 +84,7 @@ def drive(
         template: a measurement of the step, NumPy arrays of the right shapes and dtypes.
         key: key of the whole run, for steps that draw.
         deadline: s, for a step.
-        emit: called with the stamp (s) and the info of each step, behind the clock.
+        emit: called with the stamp (s) and the info of each step, of NumPy arrays, behind the clock.
         tell: called with each message as it comes: what was refused and why, and the first step with a status.
         last: s, stamp of the last sample in `state`, where the run goes on from a checkpoint.
         gap: s, longest silence after which a single sample is believed; above the slowest sensor's interval.

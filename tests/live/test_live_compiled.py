@@ -183,6 +183,10 @@ def test_what_was_given_out_stays_as_it_was():
         infos.append((info, jax.tree.map(np.copy, info)))
     for found, copied in infos:
         jax.tree.map(np.testing.assert_array_equal, found, copied)
+    base = infos[0][0]["found"].base
+    while base.base is not None:
+        base = base.base
+    assert base.size == 3 * 4 + 3  # of the info alone: found, same, fixed and given
 
 
 def test_a_program_is_read_for_what_it_has():

@@ -28,6 +28,7 @@ def drawn():
     return params, measurements, judge
 
 
+@pytest.mark.slow
 def test_sensors_as_good_as_they_are_said_to_be_have_a_ratio_of_one(drawn):
     params, measurements, judge = drawn
     found = judge(params, measurements)

@@ -58,6 +58,7 @@ def test_points_and_their_slopes_are_those_of_the_new_unknowns(x64, link):
     assert np.all(whole / half > 3)  # second order at least
 
 
+@pytest.mark.slow
 def test_what_no_motion_tells_stays_unknown():
     """An arm whose root is blind: the bias of its first joint turns the room with the robot."""
     free = slam.build(

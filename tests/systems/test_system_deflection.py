@@ -37,6 +37,7 @@ def several(system, measurements, seeds, history=deflection.with_interval):
     )
 
 
+@pytest.mark.slow
 def test_both_proposals_find_the_same_posterior():
     """Means over 20 runs within 4.5 standard errors, the evidence of 8 steps too; guided keeps a larger share."""
     guided, blind = build(deflection.guided, FEW, 256), build(deflection.bootstrap, FEW, 2048)

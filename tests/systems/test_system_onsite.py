@@ -81,6 +81,7 @@ def test_live_in_ten_seconds():
     assert np.all(found.valid)
 
 
+@pytest.mark.slow
 def test_clocks_that_never_share_a_step():
     """A's samples between P's, a twentieth lost of either: no worse than both at once, and each within its spread."""
     runs, count = 12, 1600

@@ -65,6 +65,7 @@ def rms(x):
     return np.sqrt(np.mean(np.square(x), axis=0))
 
 
+@pytest.mark.slow
 def test_joints_are_followed_where_the_start_was_known(cases):
     """The shoulder drifts with the gyroscopes' headings; elbow, forearm and wrist lean on constraints."""
     case = cases["known"]
