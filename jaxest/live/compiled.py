@@ -77,7 +77,7 @@ def program(step: Step, params: PyTree, state: PyTree, template: PyTree, *, key:
     after, info = jax.eval_shape(stepped, state, template)
     layouts = layout(after), layout(info), layout(template)
     started = partial(jax.tree.map, lambda x, like: jnp.asarray(x, like.dtype))  # not weakly typed: one program
-    if any(one is None for one in layouts):
+    if any(one is None or one.words > LARGEST for one in layouts):
 
         def called(state: PyTree, measurement: PyTree) -> tuple[PyTree, PyTree]:
             state, info = jax.block_until_ready(stepped(state, measurement))
@@ -100,14 +100,11 @@ def _in_words(
     def start(state: PyTree) -> Array:
         return jnp.pad(states.pack(state), (0, infos.words))
 
-    heard = np.zeros(measurements.words, np.uint32)
     begin = jax.jit(start)
-    carry = begin(state)
-    compiled, one_kernel = _compiled(advance, carry, heard)
+    compiled, one_kernel = _compiled(advance, begin(state), measurements.write(template))
 
     def call(words: Array, measurement: PyTree) -> tuple[Array, PyTree]:
-        measurements.write(measurement, heard)
-        words = compiled(words, heard)
+        words = compiled(words, measurements.write(measurement))
         found = np.asarray(words)[states.words :].copy()  # waits for it; whoever keeps an info keeps no state with it
         return words, infos.read(found)
 

@@ -55,16 +55,25 @@ class Layout(NamedTuple):
         """
         return jax.tree.unflatten(self.structure, [_from_words(words[leaf.words], leaf) for leaf in self.leaves])
 
-    def write(self, tree: PyTree, words: NDArray[np.uint32]) -> None:
-        """Write a pytree of NumPy arrays into words.
+    def write(self, tree: PyTree) -> NDArray[np.uint32]:
+        """Return the words of a pytree of NumPy arrays.
 
         Args:
             tree: of this layout; cast to its dtypes.
-            words: (words,) uint32, overwritten.
+
+        Returns:
+            (words,) uint32.
+
+        Raises:
+            ValueError: an array of another shape.
         """
+        words = np.empty(self.words, WORD)
         for leaf, x in zip(self.leaves, self.structure.flatten_up_to(tree), strict=True):
+            if np.shape(x) != leaf.shape:
+                raise ValueError(f"got an array of shape {np.shape(x)}, expected {leaf.shape}, in {tree}")
             piece = words[leaf.words]
             (piece if leaf.dtype == bool else piece.view(leaf.dtype))[:] = np.reshape(x, -1)
+        return words
 
     def read(self, words: NDArray[np.uint32]) -> PyTree:
         """Return the pytree of NumPy arrays that words stand for; views of them, but for booleans.

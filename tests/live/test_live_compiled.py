@@ -161,6 +161,22 @@ def test_a_state_of_other_dtypes_is_cast():
     np.testing.assert_array_equal(state.position, np.arange(4))
 
 
+def test_a_measurement_of_another_shape_is_refused():
+    program = live.program(stepping(lambda x, m: m[0]), jnp.float32(0), STATE, TEMPLATE)
+    with pytest.raises(ValueError, match=r"got an array of shape \(1, 1\), expected \(4, 4\)"):
+        program.call(program.start(STATE), TEMPLATE._replace(matrix=np.ones((1, 1))))
+
+
+def test_a_large_state_is_carried_as_it_is():
+    state = STATE._replace(position=jnp.ones(LARGEST))
+
+    def step(params, state, measurement, *, key=None):
+        position = state.position + measurement.dt
+        return State(position, state.count + 1, ~state.seen), {"first": position[0]}
+
+    assert not compare(step, state, count=2)
+
+
 def test_it_is_traced_once():
     traces = Counter()
 
