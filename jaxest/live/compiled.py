@@ -47,7 +47,7 @@ class Program(NamedTuple):
     start: Callable[[PyTree], Any]
     """What to carry from call to call, from a state."""
     call: Callable[[Any, PyTree], tuple[Any, PyTree]]
-    """One step, finished when it returns; the info is of NumPy arrays."""
+    """One step, finished when it returns; NumPy arrays in and, as info, out. ValueError: an array of another shape."""
     state: Callable[[Any], PyTree]
     """The state in what is carried."""
     one_kernel: bool

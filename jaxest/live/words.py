@@ -70,7 +70,8 @@ class Layout(NamedTuple):
         words = np.empty(self.words, WORD)
         for leaf, x in zip(self.leaves, self.structure.flatten_up_to(tree), strict=True):
             if np.shape(x) != leaf.shape:
-                raise ValueError(f"got an array of shape {np.shape(x)}, expected {leaf.shape}, in {tree}")
+                name = jax.tree_util.keystr(jax.tree_util.tree_leaves_with_path(tree)[self.leaves.index(leaf)][0])
+                raise ValueError(f"{name}: got an array of shape {np.shape(x)}, expected {leaf.shape}")
             piece = words[leaf.words]
             (piece if leaf.dtype == bool else piece.view(leaf.dtype))[:] = np.reshape(x, -1)
         return words

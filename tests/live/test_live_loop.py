@@ -76,7 +76,8 @@ def test_a_queue_gives_the_numbers_of_a_recorded_run(imu):
     np.testing.assert_allclose(found, expected(imu), atol=2e-6)
 
 
-def test_a_udp_port_gives_them_too(imu):
+@pytest.mark.parametrize("busy", [False, True])
+def test_a_udp_port_gives_them_too(imu, busy):
     def send(address):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
             for sample in samples(*imu[2:]):
@@ -84,10 +85,17 @@ def test_a_udp_port_gives_them_too(imu):
             sender.sendto(b"{broken", address)
             sender.sendto(b"", address)
 
-    outcome, found = driven(imu, live.from_udp(0, ready=send))
+    outcome, found = driven(imu, live.from_udp(0, ready=send, busy=busy))
     assert (outcome.steps, outcome.broken) == (STEPS, 1)
     assert "not a line of JSON" in outcome.messages[0]
     np.testing.assert_allclose(found, expected(imu), atol=2e-6)
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_a_silent_port_is_idle(busy):
+    source = live.from_udp(0, wait=0.01, busy=busy)
+    assert [next(source) for _ in range(2)] == [live.IDLE] * 2
+    source.close()
 
 
 def test_a_file_is_followed_while_it_grows(imu, tmp_path):
